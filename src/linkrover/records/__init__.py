@@ -1,0 +1,49 @@
+"""Every record there is: frozen, typed, units in names, `None` = unknown."""
+
+from .base import Now, Record, Role, Unknown, now
+from .delay import ClockOffset, ClockSource, NetworkDelay, ProbeResult, ProbeState
+from .event import EventKind, LinkEvent
+from .link import (
+    Bitrate,
+    ChannelSurvey,
+    Continuity,
+    LinkUtilization,
+    NetworkErrors,
+    StationLink,
+    WirelessLink,
+)
+from .motion import Pose, VelocityCommand
+from .run import Interface, Manifest, SelfAccount
+from .tcp import TcpConnection, TopicTraffic
+from .truth import LinkTruth, ProbeTruth
+
+__all__ = [
+    "Bitrate",
+    "ChannelSurvey",
+    "ClockOffset",
+    "ClockSource",
+    "Continuity",
+    "EventKind",
+    "Interface",
+    "LinkEvent",
+    "LinkTruth",
+    "LinkUtilization",
+    "Manifest",
+    "NetworkDelay",
+    "NetworkErrors",
+    "Now",
+    "Pose",
+    "ProbeResult",
+    "ProbeState",
+    "ProbeTruth",
+    "Record",
+    "Role",
+    "SelfAccount",
+    "StationLink",
+    "TcpConnection",
+    "TopicTraffic",
+    "Unknown",
+    "VelocityCommand",
+    "WirelessLink",
+    "now",
+]
