@@ -6,6 +6,7 @@ slots that passed meanwhile are skipped and counted, never run in a burst.
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import os
 import selectors
@@ -105,8 +106,6 @@ class Loop:
                 return
             while self._heap and self._heap[0][0] <= now_ns and not self._stopped:
                 heapq.heappop(self._heap)[2]()
-            if self._stopped:
-                return
             due_ns = self._heap[0][0] if self._heap else until_ns
             if until_ns is not None and due_ns is not None:
                 due_ns = min(due_ns, until_ns)
@@ -151,10 +150,8 @@ class Loop:
             return  # already woken
 
     def _drain_wake(self) -> None:
-        try:
+        with contextlib.suppress(BlockingIOError):
             os.read(self._wake_read, 4096)
-        except BlockingIOError:
-            pass
         soon, self._soon = self._soon, []
         for callback in soon:
             callback()
