@@ -39,8 +39,8 @@ def now() -> Now:
     return Now(time.time_ns(), time.monotonic_ns())
 
 
-class Record(msgspec.Struct, frozen=True, kw_only=True):
-    """Base of every record.
+class Record(msgspec.Struct, frozen=True, kw_only=True, tag=True, tag_field="type"):
+    """Base of every record; as JSON it carries its class name under "type".
 
     wall_ns: CLOCK_REALTIME of the sample, for joining. mono_ns: CLOCK_MONOTONIC of the sample, for durations.
     unknown: why a field is `None`, by field name, where a reason is known.
