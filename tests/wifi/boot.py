@@ -9,7 +9,7 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from .kernel import GuestUnavailable, prepare
+from .kernel import GuestUnavailableError, prepare
 
 MEMORY_MB = 1024
 
@@ -29,11 +29,11 @@ def run_job(job: str, share: Path, timeout_s: float) -> GuestRun:
     The guest sees this machine's / read-only under a tmpfs, and `share` read-write as /result.
 
     Raises:
-        GuestUnavailable: qemu or the kernel package cannot be had here.
+        GuestUnavailableError: qemu or the kernel package cannot be had here.
     """
     kernel = prepare()
     if platform.system() != "Linux":
-        raise GuestUnavailable("the guest needs a Linux host")
+        raise GuestUnavailableError("the guest needs a Linux host")
     share.mkdir(parents=True, exist_ok=True)
     for leftover in ("exit", "console.log"):
         (share / leftover).unlink(missing_ok=True)

@@ -19,7 +19,7 @@ from typing import Any
 import pytest
 
 from .boot import GuestRun, run_job
-from .kernel import CACHE, PROJECT, GuestUnavailable
+from .kernel import CACHE, PROJECT, GuestUnavailableError
 
 GUEST_TESTS = Path(__file__).parent / "guest"
 INSIDE = "LINKROVER_GUEST" in os.environ
@@ -27,7 +27,7 @@ BOOT_TIMEOUT_S = 400.0  # a guest on a busy machine; the run itself takes about 
 TEST_TIMEOUT_S = 90
 
 
-class GuestFailure(Exception):
+class GuestFailureError(Exception):
     """A test failed in the guest; the text is what pytest said there."""
 
 
@@ -49,7 +49,7 @@ class GuestSession:
         (share / "nodeids").write_text("\n".join(self.nodeids) + "\n")
         try:
             self.run = run_job(_pytest_job(), share, BOOT_TIMEOUT_S)
-        except GuestUnavailable as reason:
+        except GuestUnavailableError as reason:
             self.unavailable = str(reason)
             return
         outcomes = share / "outcomes.jsonl"
@@ -84,18 +84,18 @@ class GuestItem(pytest.Item):
             if report["outcome"] == "skipped":
                 pytest.skip(f"in the guest: {report['text']}")
             if report["outcome"] == "failed":
-                raise GuestFailure(f"in the guest, {report['when']} of this test:\n{report['text']}")
+                raise GuestFailureError(f"in the guest, {report['when']} of this test:\n{report['text']}")
         if not any(r["when"] == "teardown" for r in reports):
-            raise GuestFailure(
+            raise GuestFailureError(
                 f"the guest (exit code {run.exit_code}) never finished this test:\n{run.console[-4000:]}"
             )
         self.add_report_section("call", "guest", f"took {sum(r['duration'] for r in reports):.1f} s in the guest")
         if self.nodeid == self.guest.nodeids[-1] and run.exit_code not in (0, 1):
-            raise GuestFailure(f"the guest's pytest ended with exit code {run.exit_code}:\n{run.console[-4000:]}")
+            raise GuestFailureError(f"the guest's pytest ended with exit code {run.exit_code}:\n{run.console[-4000:]}")
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:  # type: ignore[override]
         """The guest's own words, without this machine's stack."""
-        return str(excinfo.value) if isinstance(excinfo.value, GuestFailure) else super().repr_failure(excinfo, style)
+        return str(excinfo.value) if isinstance(excinfo.value, GuestFailureError) else super().repr_failure(excinfo, style)
 
     def reportinfo(self) -> tuple[Path, int, str]:
         """Where the test is written."""

@@ -37,7 +37,7 @@ MODULES = (
 LATER = ("mac80211_hwsim",)  # loaded by the tests' init, with parameters
 
 
-class GuestUnavailable(Exception):
+class GuestUnavailableError(Exception):
     """This machine cannot have the guest; the message is the reason a test is skipped with."""
 
 
@@ -54,7 +54,7 @@ def prepare() -> GuestKernel:
     """The guest's kernel from the cache, made on first use.
 
     Raises:
-        GuestUnavailable: a program or the package cannot be had here.
+        GuestUnavailableError: a program or the package cannot be had here.
     """
     for program, package in {
         "qemu-system-x86_64": "qemu-system-x86",
@@ -66,7 +66,7 @@ def prepare() -> GuestKernel:
         "cpio": "cpio",
     }.items():
         if shutil.which(program, path="/usr/sbin:/usr/bin:/sbin:/bin") is None:
-            raise GuestUnavailable(f"{program} is not installed (Debian package {package})")
+            raise GuestUnavailableError(f"{program} is not installed (Debian package {package})")
     CACHE.mkdir(parents=True, exist_ok=True)
     with (CACHE / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)  # two test runs in one tree must not build the same cache twice
@@ -93,7 +93,7 @@ def _newest_package() -> str:
     cached = sorted(p.parent.name for p in CACHE.glob("linux-image-*/made"))
     if cached:
         return cached[-1]
-    raise GuestUnavailable(f"no package source offers {META_PACKAGE}, and none is cached in .cache/guest")
+    raise GuestUnavailableError(f"no package source offers {META_PACKAGE}, and none is cached in .cache/guest")
 
 
 def _make(package: str, home: Path) -> None:
@@ -102,7 +102,7 @@ def _make(package: str, home: Path) -> None:
         got = subprocess.run(["apt-get", "download", package], check=False, cwd=scratch, capture_output=True, text=True)
         archives = list(scratch.glob("*.deb"))
         if not archives:
-            raise GuestUnavailable(f"apt-get download {package} failed: {got.stderr.strip()[-300:]}")
+            raise GuestUnavailableError(f"apt-get download {package} failed: {got.stderr.strip()[-300:]}")
         tree = scratch / "tree"
         subprocess.run(["dpkg", "-x", archives[0], tree], check=True)
         release = package.removeprefix("linux-image-")
@@ -120,7 +120,7 @@ def _uncompressed(image: bytes) -> bytes:
         return lzma.LZMADecompressor().decompress(payload)
     if payload[:4] == b"(\xb5/\xfd":
         return subprocess.run(["zstd", "-dc"], input=payload, check=False, capture_output=True).stdout
-    raise GuestUnavailable(f"the kernel image is compressed in a way not known here: {payload[:6].hex()}")
+    raise GuestUnavailableError(f"the kernel image is compressed in a way not known here: {payload[:6].hex()}")
 
 
 def _make_initramfs(modules: Path, root: Path, out: Path) -> None:
@@ -147,7 +147,7 @@ def _make_initramfs(modules: Path, root: Path, out: Path) -> None:
     for name in ("regulatory.db", "regulatory.db.p7s"):
         source = Path("/lib/firmware") / name
         if not source.exists():
-            raise GuestUnavailable("no regulatory database (Debian package wireless-regdb)")
+            raise GuestUnavailableError("no regulatory database (Debian package wireless-regdb)")
         shutil.copy(source.resolve(), root / "lib" / "firmware" / name)
     shutil.copy(Path(__file__).parent / "init.sh", root / "init")
     (root / "init").chmod(0o755)

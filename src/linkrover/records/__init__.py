@@ -10,10 +10,12 @@ from .link import (
     LinkUtilization,
     NetworkErrors,
     StationLink,
+    TidCounters,
     WirelessLink,
 )
 from .motion import Pose, VelocityCommand
 from .run import Interface, Manifest, SelfAccount
+from .scan import Neighbour, Overlap, RadioCapability, ScanSnapshot
 from .tcp import TcpConnection, TopicTraffic
 from .truth import LinkTruth, ProbeTruth
 
@@ -31,16 +33,21 @@ __all__ = [
     "Manifest",
     "NetworkDelay",
     "NetworkErrors",
+    "Neighbour",
     "Now",
+    "Overlap",
     "Pose",
     "ProbeResult",
     "ProbeState",
     "ProbeTruth",
+    "RadioCapability",
     "Record",
     "Role",
+    "ScanSnapshot",
     "SelfAccount",
     "StationLink",
     "TcpConnection",
+    "TidCounters",
     "TopicTraffic",
     "Unknown",
     "VelocityCommand",

@@ -55,6 +55,8 @@ class WirelessLink(Record, frozen=True, kw_only=True):
     missed_beacons: int | None = None
     inactive_ms: int | None = None  # age of the last frame from the peer: an old RSSI is old by this much
     power_save: bool | None = None
+    rssi_stale: bool | None = None  # True: inactive_ms is so large that rssi_dbm is of the past, not of now
+    regulatory_domain: str | None = None  # ISO 3166 code, "00" = world (unset)
 
 
 class LinkUtilization(Record, frozen=True, kw_only=True):
@@ -105,6 +107,16 @@ class NetworkErrors(Record, frozen=True, kw_only=True):
     nic_rx_dropped: int | None = None
 
 
+class TidCounters(msgspec.Struct, frozen=True, kw_only=True):
+    """Frames of one traffic identifier (NL80211_TID_STATS_*); raw counters. tid 16 = without QoS."""
+
+    tid: int
+    rx_frames: int | None = None
+    tx_frames: int | None = None
+    tx_retries: int | None = None
+    tx_failed: int | None = None
+
+
 class StationLink(Record, frozen=True, kw_only=True):
     """One peer of a wireless interface as the nl80211 station dump gives it (NL80211_STA_INFO_*)."""
 
@@ -130,6 +142,12 @@ class StationLink(Record, frozen=True, kw_only=True):
     expected_throughput_bps: int | None = None
     tx_airtime_us: int | None = None
     rx_airtime_us: int | None = None
+    rssi_stale: bool | None = None  # True: inactive_ms is so large that rssi_dbm is of the past, not of now
+    rssi_chain_avg_dbm: tuple[float, ...] = ()
+    ack_rssi_avg_dbm: float | None = None
+    rx_beacons: int | None = None
+    authorized: bool | None = None
+    tids: tuple[TidCounters, ...] = ()
 
 
 class ChannelSurvey(Record, frozen=True, kw_only=True):
