@@ -1,0 +1,1 @@
+"""The published 2021 measurements, turned into ordinary recordings."""
