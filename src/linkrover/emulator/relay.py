@@ -1,0 +1,179 @@
+"""The relay: reads packets from the hosts' TUN devices, asks the medium, hands them on when the medium says so.
+
+One thread, no blocking call. Release times are the model's, on CLOCK_MONOTONIC; how late each packet really left is
+kept and reported in the truth, so that a machine that cannot keep up is seen.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import select
+import time
+from collections.abc import Callable
+from statistics import median_low
+from typing import NamedTuple, Protocol
+
+from linkrover.emulator.medium import EVERYONE, Fate, Medium
+from linkrover.emulator.stamp_truth import UDP, probe_truth
+from linkrover.records import Now, Record
+
+BATCH = 32
+READ_OCTETS = 2048
+BEHIND_NS = 10_000_000
+"""A release later than this makes the interval "behind": the link was then slower than the model says."""
+ERRORS_KEPT = 20_000
+
+
+class Port(NamedTuple):
+    """One host as the relay sees it."""
+
+    name: str
+    address: str
+    tun_fd: int
+
+
+class Packet:
+    """What travels through the medium as a tag."""
+
+    __slots__ = ("data", "mono_ns", "sender", "wall_ns")
+
+    def __init__(self, data: bytes, sender: str, wall_ns: int, mono_ns: int) -> None:
+        self.data = data
+        self.sender = sender
+        self.wall_ns = wall_ns
+        self.mono_ns = mono_ns
+
+
+class Link(Protocol):
+    """Whatever moves the radio: the channel model over the robot's position, or a replayed recording."""
+
+    def tick(self, medium: Medium, at: Now) -> None:
+        """Set the medium's hops as they are now, and show them to the emulated drivers."""
+        ...
+
+
+class Relay:
+    """See the module's text. `take` gets truth records (LinkTruth a tick and hop, ProbeTruth a STAMP packet)."""
+
+    def __init__(
+        self, medium: Medium, ports: list[Port], link: Link, take: Callable[[Record], None], tick_ns: int = 50_000_000
+    ) -> None:
+        self.medium = medium
+        self.ports = {port.name: port for port in ports}
+        self._by_address = {bytes(map(int, port.address.split("."))): port.name for port in ports}
+        self._by_fd = {port.tun_fd: port.name for port in ports}
+        self.link = link
+        self.take = take
+        self.tick_ns = tick_ns
+        self.unroutable = 0
+        self.refused_writes = 0
+        self.forwarded = 0
+        self._errors_ns: list[int] = []
+        self._readers: dict[int, Callable[[], None]] = {}
+        self._stopped = False
+
+    def reader(self, fd: int, callback: Callable[[], None]) -> None:
+        """Call back whenever fd is readable."""
+        self._readers[fd] = callback
+
+    def stop(self) -> None:
+        """Make run() return; safe in a signal handler."""
+        self._stopped = True
+
+    def run(self) -> None:
+        """Relay until stop()."""
+        # a collection over thousands of queued packets would hold them up by milliseconds, and nothing here is cyclic
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        medium, mono = self.medium, time.monotonic_ns
+        fds = [*self._by_fd, *self._readers]
+        next_tick = mono()
+        wall_minus_mono = time.time_ns() - mono()
+        while not self._stopped:
+            now_ns = mono()
+            if now_ns >= next_tick:
+                wall_minus_mono = time.time_ns() - mono()
+                self._tick(Now(now_ns + wall_minus_mono, now_ns))
+                next_tick += self.tick_ns * max(1, (now_ns - next_tick) // self.tick_ns)
+            fates = medium.advance(mono())
+            if fates:
+                self._release(fates)
+            due = medium.next_event_ns()
+            wake = next_tick if due is None else min(due, next_tick)
+            ready = select.select(fds, (), (), max(0, wake - mono()) / 1e9)[0]
+            for fd in ready:
+                sender = self._by_fd.get(fd)
+                if sender is None:
+                    self._readers[fd]()
+                else:
+                    self._read(fd, sender, wall_minus_mono)
+
+    def _read(self, fd: int, sender: str, wall_minus_mono: int) -> None:
+        medium, mono, read = self.medium, time.monotonic_ns, os.read
+        for _ in range(BATCH):
+            try:
+                data = read(fd, READ_OCTETS)
+            except BlockingIOError:
+                return
+            now_ns = mono()
+            # IPv4 only: the receiver is found by its address; 224/4 and broadcasts go to everyone
+            receiver = self._by_address.get(data[16:20])
+            if receiver is None:
+                if data[0] >> 4 != 4 or not (data[16] >= 224 or data[19] == 255):
+                    self.unroutable += 1
+                    continue
+                receiver = EVERYONE
+            packet = Packet(data, sender, now_ns + wall_minus_mono, now_ns)
+            flow = int.from_bytes(data[20:24], "big") ^ data[9]
+            cause = medium.offer(now_ns, sender, receiver, len(data), packet, flow)
+            if cause is not None and data[9] == UDP:
+                self._probe(packet, None, cause)
+
+    def _release(self, fates: list[Fate]) -> None:
+        ports, errors, mono, write = self.ports, self._errors_ns, time.monotonic_ns, os.write
+        for packet, receiver, at_ns, _, cause in fates:
+            assert isinstance(packet, Packet)
+            if cause is not None:
+                if packet.data[9] == UDP:
+                    self._probe(packet, None, cause)
+                continue
+            port = ports.get(receiver)
+            if port is None:
+                continue  # a multicast as the router itself hears it
+            try:
+                write(port.tun_fd, packet.data)
+            except OSError:
+                self.refused_writes += 1
+                continue
+            now_ns = mono()
+            errors.append(now_ns - at_ns)
+            if packet.data[9] == UDP:
+                self._probe(packet, now_ns - packet.mono_ns, None)
+        self.forwarded += len(fates)
+
+    def _probe(self, packet: Packet, delay_ns: int | None, cause: str | None) -> None:
+        truth = probe_truth(packet.data, packet.sender, Now(packet.wall_ns, packet.mono_ns), delay_ns, cause)
+        if truth is not None:
+            self.take(truth)
+
+    def _tick(self, at: Now) -> None:
+        self.link.tick(self.medium, at)
+        errors = self._errors_ns
+        median = worst = None
+        if errors:
+            median, worst = median_low(errors[:ERRORS_KEPT]), max(errors)
+            self._errors_ns = []
+        for hop in self.medium.hops():
+            self.take(
+                self.medium.truth(
+                    hop.sender,
+                    hop.receiver,
+                    at.wall_ns,
+                    at.mono_ns,
+                    release_error_median_ns=median,
+                    release_error_max_ns=worst,
+                    behind=worst is not None and worst > BEHIND_NS,
+                )
+            )
