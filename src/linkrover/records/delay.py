@@ -28,6 +28,9 @@ class ClockSource(enum.Enum):
 class ProbeResult(Record, frozen=True, kw_only=True):
     """One STAMP probe (RFC 8762). Recorded when its fate is known; wall_ns and mono_ns are the time of sending.
 
+    A later record of the same peer, session and sequence supersedes this one (late answer, duplicate, direction of a
+    loss known once the peer is back): count each (peer, session, sequence) once, by its last record.
+
     t1..t4 are CLOCK_REALTIME nanoseconds: sent and received here (t1, t4), received and sent by the reflector
     (t2, t3, its clock). rtt_ns = (t4 - t1) - (t3 - t2).
     """
