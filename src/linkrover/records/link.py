@@ -146,6 +146,7 @@ class StationLink(Record, frozen=True, kw_only=True):
     rssi_chain_avg_dbm: tuple[float, ...] = ()
     ack_rssi_avg_dbm: float | None = None
     rx_beacons: int | None = None
+    associated: bool | None = None
     authorized: bool | None = None
     tids: tuple[TidCounters, ...] = ()
 
