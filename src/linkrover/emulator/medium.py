@@ -116,7 +116,10 @@ class Medium:
             for sender, receiver in ((station, access_point), (access_point, station)):
                 self._add_hop(sender, receiver, (nodes or {}).get(sender, NodeConfig()))
         self._multicast = self._add_hop(access_point, EVERYONE, (nodes or {}).get(access_point, NodeConfig()))
-        self._association = {name: Association(name, config.association) for name in self.stations}
+        self._association = {
+            name: Association(name, config.association, random.Random(self._rng.random()), start_ns)
+            for name in self.stations
+        }
         self._free_ns = start_ns  # the channel is idle from here on
         self._on_air: list[_Transmission] = []
         self._end_ns = FAR
@@ -509,7 +512,12 @@ class Medium:
             self._beacon(now_ns)
             self._beacon_ns += self.config.association.beacon_ns
         for name, association in self._association.items():
-            if association.due_ns is not None and association.due_ns <= now_ns:
+            if association.due_ns is None or association.due_ns > now_ns:
+                continue
+            if association.associated:
+                association.drop_out(now_ns)
+                self._disconnected(name, now_ns)
+            else:
                 reachable = self._hops[self.access_point, name].hears_basic(300) and self._hops[
                     name, self.access_point
                 ].hears_basic(300)
