@@ -1,0 +1,1 @@
+"""STAMP probes (RFC 8762): sender, reflector, clock offset, and what a series of results says."""
