@@ -20,6 +20,7 @@ from typing import Any
 
 import msgspec
 
+from linkrover.agent.feed import FeedSender
 from linkrover.emulator.robot import COMMAND_HZ, ODOMETRY_HZ, Drive, Operator, Robot, Route
 from linkrover.errors import ConfigError
 from linkrover.records import Record, VelocityCommand, now
@@ -227,16 +228,15 @@ async def listen(
             current.add_done_callback(group.discard)
 
 
-def datagrams_to(path: str | None) -> Callable[[bytes], None]:
+def datagrams_to(path: str) -> Callable[[bytes], None]:
     """A function that sends to a Unix datagram socket and counts on nobody being there."""
     handle = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     handle.setblocking(False)
 
     def send(data: bytes) -> None:
-        if path is not None:
-            # the receiver may not be there yet, or be busy: the next pose comes in 20 ms
-            with contextlib.suppress(OSError):
-                handle.sendto(data, path)
+        # the receiver may not be there yet, or be busy: the next pose comes in 20 ms
+        with contextlib.suppress(OSError):
+            handle.sendto(data, path)
 
     return send
 
@@ -244,8 +244,13 @@ def datagrams_to(path: str | None) -> Callable[[bytes], None]:
 def robot_program(settings: Settings) -> tuple[list[Coroutine[Any, Any, None]], Callable[[], dict[str, Any]]]:
     """The robot's coroutines, and what to report at the end."""
     robot = Robot(settings.route, settings.drive, settings.seed)
-    feed, relay, eyes = map(datagrams_to, (settings.feed_path, settings.pose_path, settings.eyes_path))
-    encoder = feed_encoder()
+    relay, eyes = datagrams_to(settings.pose_path), datagrams_to(settings.eyes_path)
+    agent = FeedSender(settings.feed_path) if settings.feed_path is not None else None
+
+    def feed(record: Record) -> None:
+        if agent is not None:
+            agent.send(record)
+
     camera, lidar = Sender(), Sender()
     commands = Received()
     traffic = settings.traffic
@@ -254,16 +259,12 @@ def robot_program(settings: Settings) -> tuple[list[Coroutine[Any, Any, None]], 
         forward, turn = COMMAND.unpack(payload)
         at = now()
         robot.command(at.mono_ns, forward, turn)
-        feed(
-            encoder(
-                VelocityCommand(wall_ns=at.wall_ns, mono_ns=at.mono_ns, forward_m_per_s=forward, turn_rad_per_s=turn)
-            )
-        )
+        feed(VelocityCommand(wall_ns=at.wall_ns, mono_ns=at.mono_ns, forward_m_per_s=forward, turn_rad_per_s=turn))
 
     def step() -> None:
         at = now()
         robot.step(at.mono_ns)
-        feed(encoder(robot.odometry(at)))
+        feed(robot.odometry(at))
         pose = POSE.pack(robot.x_m, robot.y_m, robot.heading_rad, robot.forward_m_per_s, robot.turn_rad_per_s)
         relay(pose)
         eyes(pose)
@@ -326,13 +327,6 @@ def station_program(settings: Settings) -> tuple[list[Coroutine[Any, Any, None]]
         listen((host, COMMAND_PORT), commands.pump, tasks),
     ]
     return work, lambda: {"camera": camera, "lidar": lidar, "commands": commands.stats, "drive_done": operator.done}
-
-
-def feed_encoder() -> Callable[[Record], bytes]:
-    """How the agent's feed wants a record: its fields as JSON with "type" first."""
-    from linkrover.agent.feed import encode
-
-    return encode
 
 
 async def run(role: str, settings: Settings) -> None:
