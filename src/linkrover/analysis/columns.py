@@ -1,0 +1,156 @@
+"""Records to columns: one table per record type and interface, `None` as NaN."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from linkrover.records import Bitrate, LinkEvent, Manifest, Record
+
+if TYPE_CHECKING:
+    from .run import Columns
+
+# What the figures need of each record type; the first group is the key under which its tables are kept apart.
+KEYS: dict[str, tuple[str, ...]] = {
+    "LinkUtilization": ("iface",),
+    "NetworkErrors": ("iface",),
+    "WirelessLink": ("iface",),
+    "StationLink": ("iface",),
+    "ProbeResult": (),
+    "NetworkDelay": ("method",),
+    "ClockOffset": (),
+    "Pose": (),
+    "VelocityCommand": (),
+    "SelfAccount": (),
+    "TopicTraffic": ("topic", "direction", "peer"),
+    "LinkTruth": ("hop",),
+    "ProbeTruth": ("direction",),
+}
+INTEGERS = frozenset({"wall_ns", "mono_ns"})
+FIELDS: dict[str, tuple[str, ...]] = {
+    "LinkUtilization": ("interval_ns", "rx_bytes", "tx_bytes", "rx_rate_bps", "tx_rate_bps", "continuity"),
+    "NetworkErrors": (
+        "tcp_retransmits",
+        "tcp_bad_segments",
+        "tcp_lost_retransmits",
+        "tcp_timeouts",
+        "udp_errors",
+        "udp_buffer_errors",
+        "mac_tx_retries",
+        "mac_rx_dropped",
+        "nic_tx_errors",
+        "nic_rx_errors",
+        "nic_tx_dropped",
+        "nic_rx_dropped",
+    ),
+    "WirelessLink": (
+        "source",
+        "connected",
+        "mode",
+        "peer",
+        "rssi_dbm",
+        "noise_dbm",
+        "link_quality",
+        "tx_bitrate",
+        "rx_bitrate",
+        "inactive_ms",
+        "bssid",
+        "frequency_mhz",
+    ),
+    "StationLink": ("peer", "rssi_dbm", "tx_bitrate", "rx_bitrate", "tx_retries", "tx_failed", "inactive_ms"),
+    "ProbeResult": (
+        "state",
+        "session",
+        "sequence",
+        "rtt_ns",
+        "t1_ns",
+        "t2_ns",
+        "t3_ns",
+        "t4_ns",
+        "duplicates",
+        "reordered",
+        "lateness_ns",
+    ),
+    "NetworkDelay": ("delay_ns", "deadline_ns", "late"),
+    "ClockOffset": ("offset_ns", "error_bound_ns", "drift_ppb"),
+    "Pose": ("x_m", "y_m", "heading_rad", "forward_m_per_s", "turn_rad_per_s"),
+    "VelocityCommand": ("forward_m_per_s", "sideways_m_per_s", "turn_rad_per_s"),
+    "SelfAccount": ("interval_ns", "cpu_ns", "rss_bytes", "missed_slots", "records_lost"),
+    "TopicTraffic": ("bytes_total", "messages_total", "rate_bps"),
+    "LinkTruth": (
+        "interval_ns",
+        "distance_m",
+        "rssi_dbm",
+        "associated",
+        "offered_packets",
+        "offered_bytes",
+        "delivered_packets",
+        "delivered_bytes",
+        "airtime_ns",
+        "queue_bytes",
+    ),
+    "ProbeTruth": ("session", "sequence", "delay_ns", "dropped"),
+}
+TEXTS = frozenset({"continuity", "source", "mode", "peer", "state", "bssid", "dropped"})
+
+
+@dataclass(slots=True)
+class RawEnd:
+    """The tables of one recording by record type, each by its key; and what is no table."""
+
+    tables: dict[str, dict[tuple[str, ...], Columns]] = field(default_factory=dict)
+    manifest: Manifest | None = None
+    events: list[LinkEvent] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+
+    def table(self, kind: str, *key: str) -> Columns | None:
+        """One table, `None` where nothing of it was recorded."""
+        return self.tables.get(kind, {}).get(key)
+
+
+def from_records(records: Iterable[Record]) -> RawEnd:
+    """Collect any stream of records; types without figures are passed over."""
+    raw = RawEnd()
+    rows: dict[str, dict[tuple[str, ...], list[Record]]] = {}
+    for record in records:
+        kind = type(record).__name__
+        keys = KEYS.get(kind)
+        if keys is None:
+            if isinstance(record, LinkEvent):
+                raw.events.append(record)
+            elif isinstance(record, Manifest):
+                raw.manifest = raw.manifest or record
+            continue
+        key = tuple(str(getattr(record, name)) for name in keys)
+        rows.setdefault(kind, {}).setdefault(key, []).append(record)
+    raw.tables = {
+        kind: {key: _columns(kind, found) for key, found in groups.items()} for kind, groups in rows.items()
+    }
+    return raw
+
+
+def _columns(kind: str, records: list[Record]) -> Columns:
+    import numpy as np
+
+    out: Columns = {name: np.array([getattr(r, name) for r in records], np.int64) for name in ("wall_ns", "mono_ns")}
+    for name in FIELDS[kind]:
+        values = [getattr(r, name) for r in records]
+        out[name] = np.array([_text(v) for v in values], object) if name in TEXTS else numbers(values)
+    return out
+
+
+def _text(value: Any) -> str | None:
+    return value.value if isinstance(value, enum.Enum) else value
+
+
+def numbers(values: list[Any]) -> Any:
+    """Any mixture of numbers, bools, bit rates and `None` as float64."""
+    import numpy as np
+
+    try:
+        return np.array(values, np.float64)  # None becomes NaN
+    except TypeError:
+        plain = [(v.rate_bps if isinstance(v, Bitrate) else v) for v in values]
+        return np.array([np.nan if v is None else float(v) for v in plain], np.float64)

@@ -1,0 +1,152 @@
+"""Means, spreads and intervals of figures that are correlated in time."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    Floats = NDArray[np.float64]
+
+REPLICATES = 1000
+SEED = 20210914
+
+
+def weighted_mean_std(values: Floats, weights: Floats) -> tuple[float | None, float | None]:
+    """Mean and standard deviation with time as weight; `None` where nothing weighs."""
+    import numpy as np
+
+    total = float(weights.sum())
+    if total <= 0:
+        return None, None
+    mean = float((values * weights).sum() / total)
+    return mean, float(np.sqrt((weights * (values - mean) ** 2).sum() / total))
+
+
+def weighted_quantiles(values: Floats, weights: Floats, probabilities: tuple[float, ...]) -> list[float | None]:
+    """Quantiles of a step function: the value below which the given share of the time lies."""
+    import numpy as np
+
+    kept = weights > 0
+    if not kept.any():
+        return [None] * len(probabilities)
+    order = np.argsort(values[kept], kind="stable")
+    ordered, share = values[kept][order], np.cumsum(weights[kept][order])
+    at = np.searchsorted(share, np.asarray(probabilities) * share[-1])
+    return [float(v) for v in ordered[np.minimum(at, len(ordered) - 1)]]
+
+
+def autocorrelation_time(values: Floats) -> float:
+    """Integrated autocorrelation time in samples, 1 + 2 sum(rho), cut by Geyer's initial positive sequence.
+
+    Geyer, "Practical Markov Chain Monte Carlo", Statistical Science 7(4), 1992. At least 1; n for a constant trend.
+    """
+    import numpy as np
+
+    n = len(values)
+    if n < 4:
+        return 1.0
+    centred = values - values.mean()
+    variance = float((centred**2).mean())
+    if variance <= 1e-18 * max(1.0, float((values**2).mean())):
+        return 1.0
+    size = 1 << (2 * n - 1).bit_length()
+    spectrum = np.fft.rfft(centred, size)
+    rho = np.fft.irfft(spectrum * np.conj(spectrum), size)[:n] / (n * variance)
+    pairs = rho[: n - n % 2].reshape(-1, 2).sum(axis=1)
+    negative = np.flatnonzero(pairs <= 0)
+    last = int(negative[0]) if len(negative) else len(pairs)
+    return float(min(max(2 * pairs[:last].sum() - 1, 1.0), n))
+
+
+def effective_size(values: Floats) -> float:
+    """How many independent samples the series is worth: n / autocorrelation time."""
+    return len(values) / autocorrelation_time(values) if len(values) else 0.0
+
+
+def stationary_bootstrap_ratio(
+    numerator: Floats, denominator: Floats, block: float, replicates: int = REPLICATES, seed: int = SEED
+) -> Floats:
+    """Replicates of sum(numerator) / sum(denominator) under the stationary bootstrap (Politis and Romano 1994).
+
+    Blocks of geometric length with mean `block` samples, wrapped round the end. A block's sum is a difference of
+    running sums, so a replicate costs as many steps as it has blocks, not samples: the same distribution as
+    `arch.bootstrap.StationaryBootstrap` gives, at a small part of its time.
+    """
+    import numpy as np
+
+    n = len(numerator)
+    generator = np.random.default_rng(seed)
+    p = 1.0 / min(max(block, 1.0), n)
+    out = np.empty((2, replicates))
+    running = np.zeros((2, 2 * n + 1))
+    running[:, 1:] = np.cumsum(np.tile(np.stack([numerator, denominator]), 2), axis=1)
+    batch = max(1, min(replicates, 4_000_000 // max(1, int(n * p) + 1)))
+    for begin in range(0, replicates, batch):
+        rows = min(batch, replicates - begin)
+        count = int(n * p + 6 * np.sqrt(n * p * (1 - p) + 1)) + 2
+        lengths = np.minimum(generator.geometric(p, (rows, count)), n)
+        while lengths.sum(axis=1).min() < n:  # as good as never: the number of blocks has six sigma to spare
+            lengths = np.concatenate([lengths, np.minimum(generator.geometric(p, (rows, count)), n)], axis=1)
+        ends = np.minimum(np.cumsum(lengths, axis=1), n)
+        lengths = np.diff(ends, axis=1, prepend=0)
+        starts = generator.integers(0, n, lengths.shape)
+        for i in range(2):
+            out[i, begin : begin + rows] = (running[i][starts + lengths] - running[i][starts]).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(out[0] / out[1], dtype=np.float64)
+
+
+def ratio_ci95(numerator: Floats, denominator: Floats) -> tuple[tuple[float, float] | None, float, float]:
+    """95 % interval of a ratio of sums, its effective sample size and its autocorrelation time in samples.
+
+    The mean block length is twice the autocorrelation time. No interval from fewer than 8 samples.
+    """
+    import numpy as np
+
+    used = denominator > 0
+    numerator, denominator = numerator[used], denominator[used]
+    n = len(numerator)
+    if n < 8:
+        return None, float(n), 1.0
+    tau = autocorrelation_time(numerator / denominator)
+    draws = stationary_bootstrap_ratio(numerator, denominator, 2 * tau)
+    draws = draws[np.isfinite(draws)]
+    if len(draws) < 100:
+        return None, n / tau, tau
+    low, high = np.quantile(draws, (0.025, 0.975))
+    return (float(low), float(high)), n / tau, tau
+
+
+def mean_ci95(values: Floats) -> tuple[tuple[float, float] | None, float, float]:
+    """The same for a plain mean."""
+    import numpy as np
+
+    return ratio_ci95(values, np.ones(len(values)))
+
+
+def quantile_ci95(ordered: Floats, probability: float, ess: float) -> tuple[float, float] | None:
+    """Interval of a quantile from order statistics, with the effective instead of the nominal sample size."""
+    import math
+
+    n = len(ordered)
+    if n < 8 or ess < 4:
+        return None
+    half = 1.96 * math.sqrt(probability * (1 - probability) / ess)
+    low, high = probability - half, probability + half
+    if low < 0 or high > 1:
+        return None
+    return float(ordered[int(low * (n - 1))]), float(ordered[min(n - 1, math.ceil(high * (n - 1)))])
+
+
+def binned(starts: Floats, ends: Floats, values: Floats, weights: Floats, width: float) -> tuple[Floats, Floats]:
+    """Weighted sums of a step function in bins of `width` (sum of value x weight, sum of weight), by each start."""
+    import numpy as np
+
+    if not len(starts):
+        return np.zeros(0), np.zeros(0)
+    index = ((starts - starts[0]) / width).astype(np.int64)
+    n = int(index[-1]) + 1 if len(index) else 0
+    return np.bincount(index, values * weights, n), np.bincount(index, weights, n)
