@@ -169,7 +169,9 @@ def fit_offset(results: Iterable[ProbeResult]) -> ClockOffset | None:
     found = drift_range(tightest.values())
     if found is None:
         return None
-    drift, drift_error = (found[0] + found[1]) / 2, (found[1] - found[0]) / 2 + WANDER
+    known = span >= DRIFT_SPAN_NS
+    drift = (found[0] + found[1]) / 2 if known else 0.0
+    drift_error = max(found[1] - drift, drift - found[0]) + WANDER
     middle = min(samples, key=lambda s: abs(s.mono_ns - first_ns - span // 2))
     low, high = -float("inf"), float("inf")
     for sample in tightest.values():
@@ -185,7 +187,7 @@ def fit_offset(results: Iterable[ProbeResult]) -> ClockOffset | None:
         peer=results[0].peer,
         offset_ns=round((low + high) / 2),
         error_bound_ns=max(1, round((high - low) / 2 + drift_error * farthest + 0.5)),
-        drift_ppb=drift * 1e9,
+        drift_ppb=drift * 1e9 if known else None,
         samples=len(samples),
         window_ns=span,
     )
