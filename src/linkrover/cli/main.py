@@ -8,9 +8,10 @@ import sys
 from cyclopts import App
 
 from linkrover import __version__
-from linkrover.errors import LinkRoverError
+from linkrover.errors import ConfigError, LinkRoverError
 
 EXIT_FAILED = 1
+EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 
 app = App(
@@ -44,9 +45,12 @@ for _name, _target, _help in VERBS:
 
 
 def main() -> None:
-    """Entry point: runs the verb, turns LinkRoverError into one line and exit status 1."""
+    """Entry point: runs the verb, turns LinkRoverError into one line and exit status 1 (2: wrong usage)."""
     try:
         app()
+    except ConfigError as error:
+        print(f"linkrover: {error}", file=sys.stderr)
+        sys.exit(EXIT_USAGE)
     except LinkRoverError as error:
         print(f"linkrover: {error}", file=sys.stderr)
         sys.exit(EXIT_FAILED)

@@ -17,7 +17,7 @@ _FILES = ("rx_errors", "rx_dropped", "rx_missed_errors", "tx_errors", "tx_droppe
 
 
 class NicStatistics(msgspec.Struct, frozen=True):
-    """Raw error counters of a device. rx_missed: the device had no room for a frame; rx_dropped: the kernel had none."""
+    """Raw error counters of a device. rx_missed: it had no room for a frame; rx_dropped: the kernel had none."""
 
     rx_errors: int
     rx_dropped: int
