@@ -95,7 +95,9 @@ class GuestItem(pytest.Item):
 
     def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: Any = None) -> Any:  # type: ignore[override]
         """The guest's own words, without this machine's stack."""
-        return str(excinfo.value) if isinstance(excinfo.value, GuestFailureError) else super().repr_failure(excinfo, style)
+        return (
+            str(excinfo.value) if isinstance(excinfo.value, GuestFailureError) else super().repr_failure(excinfo, style)
+        )
 
     def reportinfo(self) -> tuple[Path, int, str]:
         """Where the test is written."""

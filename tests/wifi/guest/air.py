@@ -97,9 +97,7 @@ class Daemon:
     def __init__(self, command: list[str], ns: str, log: Path) -> None:
         self.log = log
         with log.open("wb") as out:
-            self.process = subprocess.Popen(
-                ["ip", "netns", "exec", ns, *command], stdout=out, stderr=subprocess.STDOUT
-            )
+            self.process = subprocess.Popen(["ip", "netns", "exec", ns, *command], stdout=out, stderr=subprocess.STDOUT)
 
     def said(self, text: str) -> bool:
         """Whether the log holds it."""
@@ -133,7 +131,14 @@ class Air:
         self._files = 0
 
     def access_point(
-        self, radio: Radio, ssid: str, channel: int, *, passphrase: str | None = None, legacy: bool = False, more: str = ""
+        self,
+        radio: Radio,
+        ssid: str,
+        channel: int,
+        *,
+        passphrase: str | None = None,
+        legacy: bool = False,
+        more: str = "",
     ) -> Daemon:
         """Start hostapd and wait until it serves."""
         lines = [
