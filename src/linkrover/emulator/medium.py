@@ -228,6 +228,17 @@ class Medium:
         out, self._out = self._out, []
         return out
 
+    def advance_to_fate(self, limit_ns: int) -> tuple[int, list[Fate]]:
+        """Like advance(limit_ns), but stops at the first event that gives fates: (time reached, fates)."""
+        while not self._out:
+            due = self._next_ns()
+            if due > limit_ns:
+                self._now = max(self._now, limit_ns)
+                break
+            self._event(due)
+        out, self._out = self._out, []
+        return self._now, out
+
     def truth(
         self,
         sender: str,
@@ -308,15 +319,18 @@ class Medium:
             due = self._next_ns()
             if due > until_ns:
                 return
-            self._now = max(self._now, due)
-            if self._on_air and self._end_ns <= due:
-                self._finish(due)
-            elif self._timer_ns <= due:
-                self._timers(due)
-            elif self._burst_ns <= due:
-                self._others(due)
-            else:
-                self._access(due)
+            self._event(due)
+
+    def _event(self, due: int) -> None:
+        self._now = max(self._now, due)
+        if self._on_air and self._end_ns <= due:
+            self._finish(due)
+        elif self._timer_ns <= due:
+            self._timers(due)
+        elif self._burst_ns <= due:
+            self._others(due)
+        else:
+            self._access(due)
 
     def _catch_up(self, now_ns: int) -> None:
         """Bursts of others that came while nobody of ours wanted to send."""

@@ -78,6 +78,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     pose_path: str  # the relay: where the robot is
     feed_path: str | None  # the robot's agent: odometry and commands
     result_path: str  # a JSON file each program writes at its end, with its role for {role}
+    done_path: str  # appears when the operator has driven the whole route
 
 
 class Received(msgspec.Struct):
@@ -291,6 +292,7 @@ def robot_program(settings: Settings) -> tuple[list[Coroutine[Any, Any, None]], 
 def station_program(settings: Settings) -> tuple[list[Coroutine[Any, Any, None]], Callable[[], dict[str, Any]]]:
     """The station's coroutines, and what to report at the end."""
     operator = Operator(settings.route, settings.drive)
+    done = Path(settings.done_path)
     sight = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     sight.bind(settings.eyes_path)
     sight.setblocking(False)
@@ -311,6 +313,8 @@ def station_program(settings: Settings) -> tuple[list[Coroutine[Any, Any, None]]
             operator.skip()
         if forward < -0.1:
             backtracked_ns = time.monotonic_ns()
+        if operator.done and not done.exists():
+            done.touch()
         commands.offer(COMMAND.pack(*operator.command(time.monotonic_ns(), seen[0], seen[1], seen[2])))
 
     async def count_camera(connection: socket.socket) -> None:

@@ -175,6 +175,7 @@ class World:
             pose_path=self.path("pose"),
             feed_path=self.path("feed"),
             result_path=self.path("traffic-{role}.json"),
+            done_path=self.path("done"),
         )
         file = self._save("traffic.json", settings)
         for end in ("station", "robot"):
@@ -206,6 +207,11 @@ class World:
                 part.check()
             if each is not None and each():
                 return
+
+    @property
+    def drive_done(self) -> bool:
+        """Whether the operator has driven the whole route."""
+        return Path(self.path("done")).exists()
 
     def traffic_results(self) -> dict[str, Any]:
         """What both traffic programs counted, after they ended."""

@@ -1,0 +1,202 @@
+"""One emulated trial: a case driven once, recorded at both ends with the truth beside it, and checked."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from linkrover import __version__
+from linkrover.bag import Recorder
+from linkrover.emulator.agreement import Agreement, compare
+from linkrover.emulator.world import World, WorldSettings
+from linkrover.errors import LinkRoverError
+from linkrover.records import LinkTruth, Manifest, Pose, Record, Role, now
+
+ENDS = ("robot", "station")
+OUTCOME_FILE = "outcome.json"
+DRIVE_LIMIT = 1.4
+"""A drive that outages made slower than this many times its nominal time is ended."""
+
+
+class View(msgspec.Struct):
+    """What can be shown while a trial runs. Rates are of the last whole second."""
+
+    elapsed_s: float
+    total_s: float
+    stage: str
+    distance_m: float | None = None
+    rssi_dbm: float | None = None
+    rate_bps: float | None = None
+    associated: bool = True
+    behind: bool = False
+
+
+class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+    """How a trial went. seconds: from first traffic to the end. interrupted: ended by the user, recordings whole."""
+
+    case: str
+    trial: int | None
+    seed: int
+    seconds: float
+    simulated: bool
+    interrupted: bool
+    drive_done: bool
+    agreement: Agreement | None
+    notes: tuple[str, ...] = ()
+    summary: dict[str, Any] = {}
+
+
+class _Watch:
+    """Follows the truth to show where things stand."""
+
+    def __init__(self, access_point: str) -> None:
+        self._hop = "robot>" + ("station" if access_point != "router" else "router")
+        self.view = View(0.0, 0.0, "starting")
+        self._second: tuple[int, int] | None = None
+
+    def take(self, record: Record) -> None:
+        if isinstance(record, Pose):
+            return
+        if isinstance(record, LinkTruth) and record.hop == self._hop:
+            view = self.view
+            view.distance_m, view.rssi_dbm, view.associated = record.distance_m, record.rssi_dbm, record.associated
+            view.behind = record.behind
+            if self._second is None:
+                self._second = (record.mono_ns, record.delivered_bytes)
+            elif record.mono_ns - self._second[0] >= 1_000_000_000:
+                began_ns, octets = self._second
+                view.rate_bps = (record.delivered_bytes - octets) * 8e9 / (record.mono_ns - began_ns)
+                self._second = (record.mono_ns, record.delivered_bytes)
+
+
+def truth_manifest(settings: WorldSettings, run: str) -> Manifest:
+    """The manifest of the emulator's own recording."""
+    stamp, system = now(), os.uname()
+    return Manifest(
+        wall_ns=stamp.wall_ns,
+        mono_ns=stamp.mono_ns,
+        linkrover_version=__version__,
+        role=Role.ROBOT,
+        host=system.nodename,
+        kernel=system.release,
+        machine=system.machine,
+        python="",
+        case=settings.case.name,
+        trial=settings.trial,
+        run=run,
+        emulated=True,
+        config=msgspec.json.encode(settings).decode(),
+        notes={"truth": "what the emulator knows to be so; positions in frame map", "seed": str(settings.seed)},
+    )
+
+
+def refuse_to_overwrite(out: Path) -> None:
+    """Raise LinkRoverError if `out` holds recordings already, or is something else."""
+    if out.exists() and (not out.is_dir() or any((out / end).exists() for end in (*ENDS, "truth"))):
+        raise LinkRoverError(
+            f"{out} holds a run already (or is no folder); runs are never overwritten: give another --out"
+        )
+
+
+def run_trial(
+    settings: WorldSettings,
+    out: Path,
+    *,
+    duration_s: float | None,
+    show: Callable[[View], None] = lambda _view: None,
+) -> Outcome:
+    """Drive one trial in real time and record it into out/robot, out/station and out/truth.
+
+    duration_s None: until the drive is over. The interrupt of a user ends it early with whole recordings; the
+    outcome then says so. Call netns.become_namespace_root() before.
+
+    Raises:
+        LinkRoverError: a part could not be started or died; recordings made so far stay.
+    """
+    refuse_to_overwrite(out)
+    out.mkdir(parents=True, exist_ok=True)
+    watch = _Watch(settings.case.access_point)
+    nominal_s = settings.route.nominal_s(settings.drive) + 3
+    limit_s = duration_s if duration_s is not None else nominal_s * DRIVE_LIMIT
+    watch.view.total_s = duration_s if duration_s is not None else nominal_s
+    recorder = Recorder(out / "truth", truth_manifest(settings, settings.run or out.name), end="truth")
+
+    def take(record: Record) -> None:
+        recorder.take(record)
+        watch.take(record)
+
+    interrupted = False
+    began = time.monotonic()
+    try:
+        with World(settings, out, take) as world:
+            try:
+                show(watch.view)
+                world.start_link()
+                world.start_agents(out)
+                world.start_traffic()
+                began = time.monotonic()
+                watch.view.stage = "driving"
+
+                def each() -> bool:
+                    watch.view.elapsed_s = time.monotonic() - began
+                    show(watch.view)
+                    return duration_s is None and world.drive_done
+
+                world.run(limit_s, each)
+            except KeyboardInterrupt:
+                interrupted = True
+            seconds = time.monotonic() - began
+            drive_done = world.drive_done
+            watch.view.stage = "stopping"
+            show(watch.view)
+            world.stop()
+            notes, summary = world.notes, world.summary
+    finally:
+        recorder.close()
+    watch.view.stage = "checking"
+    show(watch.view)
+    agreement = check_agreement(out)
+    outcome = Outcome(
+        case=settings.case.name,
+        trial=settings.trial,
+        seed=settings.seed,
+        seconds=seconds,
+        simulated=False,
+        interrupted=interrupted,
+        drive_done=drive_done,
+        agreement=agreement,
+        notes=tuple(notes),
+        summary=summary,
+    )
+    save_outcome(out, outcome)
+    return outcome
+
+
+def check_agreement(out: Path) -> Agreement:
+    """Measured against true, from the recordings of a finished run."""
+    from linkrover.bag import read_records
+
+    def records(end: str) -> Sequence[Record]:
+        return list(read_records(out / end))
+
+    return compare({end: records(end) for end in ENDS}, records("truth"))
+
+
+def save_outcome(out: Path, outcome: Outcome) -> None:
+    """Write the outcome; its presence says that the run is whole."""
+    new = out / (OUTCOME_FILE + ".new")
+    new.write_bytes(msgspec.json.format(msgspec.json.encode(outcome)))
+    new.replace(out / OUTCOME_FILE)
+
+
+def load_outcome(out: Path) -> Outcome | None:
+    """The outcome of a whole run, None when there is none (or it is of another make)."""
+    try:
+        return msgspec.json.decode((out / OUTCOME_FILE).read_bytes(), type=Outcome)
+    except (OSError, msgspec.DecodeError):
+        return None
