@@ -33,6 +33,8 @@ class TcpConnection(Record, frozen=True, kw_only=True):
     send_buffer_limited_us: int | None = None
     send_queue_bytes: int | None = None
     receive_queue_bytes: int | None = None
+    bbr_bandwidth_bps: int | None = None  # what BBR believes the path carries
+    bbr_min_rtt_us: int | None = None
 
 
 class TopicTraffic(Record, frozen=True, kw_only=True):
