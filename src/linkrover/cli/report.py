@@ -1,0 +1,126 @@
+"""`linkrover report`: figures of runs as terminal tables, HTML, Markdown, LaTeX, CSV or JSON."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from linkrover.analysis.run import Run
+    from linkrover.analysis.summary import RunSummary
+
+Format = Literal["html", "md", "latex", "csv", "json"]
+
+
+def report(
+    *runs: Path,
+    method: Literal["linkrover", "pandey2022"] = "linkrover",
+    format: Format | None = None,  # noqa: A002 - the option's name
+    out: Path | None = None,
+    outage_threshold: float = 1.0,
+    need: Annotated[tuple[str, ...], Parameter(negative=())] = (),
+) -> int:
+    """Report one or several runs: tables, words, figures.
+
+    A RUN is a folder with robot/ and station/, a single recording, a ROS 1 bag, a CSV file of the 2021 data, or a
+    folder of runs. Several runs are compared by case and trial. Without --format the report goes to the terminal.
+
+    Examples:
+      linkrover report runs/monday
+      linkrover report runs/* --format html --out report.html
+      linkrover report external_robot_5G.csv --method pandey2022 --format md
+
+    Parameters
+    ----------
+    runs
+        What to report.
+    method
+        linkrover: time-weighted over the samples really taken, outages counted. pandey2022: the paper's own formulas,
+        row by row, for comparison with its printed tables.
+    format
+        html (one file without network access), md, latex (tables, needs booktabs), csv (one row a figure) or json
+        (schema in docs/report-schema.md).
+    out
+        File to write; for csv also a folder, which gets every table as its own file. Default: standard output, for
+        html the file linkrover-report.html.
+    outage_threshold
+        Seconds without an answered probe from which on it is an outage.
+    need
+        A need to check every set-up against, for example --need "camera: throughput >= 30" or
+        --need "commands: delay.p99 <= 100, loss <= 1". May be given several times.
+    """
+    import sys
+
+    from linkrover.analysis.batch import find_runs, load_all
+    from linkrover.errors import ConfigError
+
+    if not runs:
+        print("linkrover: give at least one RUN: linkrover report RUN...", file=sys.stderr)
+        return 2
+    paths = find_runs(runs)
+    loaded, failed = load_all(paths)
+    for path, error in failed:
+        print(f"linkrover: left out: {path}: {error}", file=sys.stderr)
+    if not loaded:
+        return 1
+    from linkrover.analysis.summary import summarise
+
+    summaries = [summarise(run, method, outage_threshold_s=outage_threshold) for run in loaded]
+    if format == "html":
+        try:
+            from linkrover.report.html import write_html
+        except ImportError as error:
+            raise ConfigError(f"the HTML report cannot be made ({error}); use --format md") from error
+        target = out or Path("linkrover-report.html")
+        write_html(loaded, summaries, target)
+        print(target)
+    elif format == "json":
+        import msgspec
+
+        _put(msgspec.json.format(msgspec.json.encode(summaries), indent=2).decode() + "\n", out)
+    elif format == "csv":
+        _csv(loaded, summaries, out, need)
+    else:
+        from linkrover.report.document import as_latex, as_markdown, build_document, print_document
+
+        document = build_document(summaries, loaded, need)
+        if format == "md":
+            _put(as_markdown(document), out)
+        elif format == "latex":
+            _put(as_latex(document), out)
+        elif out is not None:
+            raise ConfigError("--out needs --format: one of html, md, latex, csv, json")
+        else:
+            print_document(document)
+    return 1 if failed else 0
+
+
+def _put(text: str, out: Path | None) -> None:
+    from linkrover.errors import LinkRoverError
+
+    if out is None:
+        print(text, end="")
+        return
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise LinkRoverError(f"cannot write {out}: {error.strerror or error}") from error
+    print(out)
+
+
+def _csv(loaded: list[Run], summaries: list[RunSummary], out: Path | None, need: tuple[str, ...]) -> None:
+    from linkrover.report.tidy import tidy_csv
+
+    if out is None or out.suffix:
+        _put(tidy_csv(summaries), out)
+        return
+    from linkrover.report.document import build_document
+    from linkrover.report.table import comma_separated
+
+    _put(tidy_csv(summaries), out / "figures.csv")
+    for table in build_document(summaries, loaded, need).tables:
+        name = "".join(c if c.isalnum() or c in "-_." else "_" for c in table.name)
+        _put(comma_separated(table), out / f"{name}.csv")

@@ -1,0 +1,103 @@
+"""What a report says, in order: words, tables, what is missing. Every format shows the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from linkrover.analysis.run import Run
+from linkrover.analysis.summary import RunSummary
+
+from .table import Column, Table, latex, markdown, terminal
+from .tables import label, run_table, table_three, table_two
+from .words import limits, overview, summary_words
+
+
+@dataclass(slots=True)
+class Section:
+    """A heading with sentences and tables below it."""
+
+    heading: str
+    words: list[str] = field(default_factory=list)
+    tables: list[Table] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Document:
+    """A whole report."""
+
+    title: str
+    sections: list[Section] = field(default_factory=list)
+
+    @property
+    def tables(self) -> list[Table]:
+        """Every table, in order."""
+        return [table for section in self.sections for table in section.tables]
+
+
+def build_document(
+    summaries: Sequence[RunSummary], runs: Sequence[Run] = (), needs: Sequence[str] = ()
+) -> Document:
+    """The report of one or several runs."""
+    title = f"Run {summaries[0].run}" if len(summaries) == 1 else f"{len(summaries)} runs"
+    document = Document(f"LinkRover report: {title}")
+    document.sections.append(Section("In short", overview(summaries)))
+    if len(summaries) > 1 or summaries[0].method == "pandey2022":
+        document.sections.append(Section("Set-ups side by side", [], [table_two(summaries), table_three(summaries)]))
+    for summary in summaries:
+        section = Section(label(summary), summary_words(summary), [run_table(summary)])
+        if summary.outages:
+            section.tables.append(outage_table(summary))
+        document.sections.append(section)
+    document.sections.append(Section("Method and limits", limits(summaries)))
+    return document
+
+
+def outage_table(summary: RunSummary) -> Table:
+    """When and where the link was out."""
+    columns = (
+        Column("from (s)", 2),
+        Column("to (s)", 2),
+        Column("length (s)", 2),
+        Column("x (m)", 2),
+        Column("y (m)", 2),
+        Column("from the start (m)", 1),
+        Column("last RSSI (dBm)", 0),
+    )
+    table = Table(f"Outages longer than {summary.outage_threshold_s} s", columns, name=f"outages-{summary.run}")
+    for o in summary.outages:
+        table.rows.append([o.start_s, o.end_s, o.duration_s, o.x_m, o.y_m, o.distance_m, o.rssi_dbm])
+    if not summary.outages[-1].ended:
+        table.notes.append("The last one was still on when the recording ended.")
+    return table
+
+
+def as_markdown(document: Document) -> str:
+    """One Markdown document."""
+    parts = [f"# {document.title}\n"]
+    for section in document.sections:
+        parts.append(f"## {section.heading}\n")
+        if section.words:
+            parts.append("\n".join(f"- {sentence}" for sentence in section.words) + "\n")
+        parts.extend(markdown(table) for table in section.tables)
+    return "\n".join(parts)
+
+
+def as_latex(document: Document) -> str:
+    """The tables as LaTeX, to be included; needs the booktabs package."""
+    return "% needs \\usepackage{booktabs}\n" + "\n".join(latex(table) for table in document.tables)
+
+
+def print_document(document: Document) -> None:
+    """The report on the terminal."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console()
+    console.print(f"[bold]{escape(document.title)}[/]")
+    for section in document.sections:
+        console.print(f"\n[bold underline]{escape(section.heading)}[/]")
+        for sentence in section.words:
+            console.print(f"  {escape(sentence)}", highlight=False)
+        for table in section.tables:
+            console.print(terminal(table))
