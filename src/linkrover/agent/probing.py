@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .agent import Agent
 
 _REROUTE_NS = 10_000_000_000
-_LOOK_HZ = 10.0
+_LOOK_HZ = 2.0  # an outage is dated from the last answer, however late it is noticed
 
 
 class Probing:
