@@ -32,7 +32,7 @@ from .nl80211_station import parse_station
 
 CMD_GET_INTERFACE, CMD_GET_STATION, CMD_GET_REG, CMD_GET_SURVEY, CMD_GET_POWER_SAVE = 5, 17, 31, 50, 62
 
-_GONE = (errno.ENODEV, errno.ENXIO)
+GONE = (errno.ENODEV, errno.ENXIO)
 _NOT_GIVEN = (errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOENT)
 _PEER_FIELDS = (
     "rssi_dbm",
@@ -156,7 +156,7 @@ class Nl80211:
                 state.due_ns = 0
 
     def read(self, iface: str, at: Now | None = None) -> RadioSample:
-        """One sample.
+        """One sample of the interface that has this name now.
 
         A client has one link, to its access point. An access point has one link per peer, or one without a peer
         while nobody is there. An absent interface gives one link with the reason ABSENT.
@@ -167,21 +167,33 @@ class Nl80211:
         """
         at = at or now()
         try:
-            state = self._state(iface)
-            slow = at.mono_ns >= state.due_ns
-            stations = self._stations(state.index, iface, at, tids=slow)
-            if {one.peer for one in stations} != state.peers.keys():
-                slow = True  # somebody came or went: channel and SSID may be others
-            surveys: tuple[ChannelSurvey, ...] = ()
-            if slow:
-                surveys = tuple(self._slow(state, iface, at, stations))
+            return self.read_index(iface, _index(iface), at)
         except NetlinkError as reason:
-            if reason.code not in _GONE:
+            if reason.code not in GONE:
                 raise
             self._known.pop(iface, None)
             unknown = dict.fromkeys(_ALL_FIELDS, Unknown.ABSENT)
             gone = WirelessLink(wall_ns=at.wall_ns, mono_ns=at.mono_ns, iface=iface, source="nl80211", unknown=unknown)
             return RadioSample((gone,), (), ())
+
+    def read_index(self, iface: str, ifindex: int, at: Now | None = None) -> RadioSample:
+        """One sample of the interface with this index, whatever it is called; records bear the name `iface`.
+
+        Raises:
+            NetlinkError: ENODEV where there is none or it is not wireless; else as read().
+            ParseError: as read().
+        """
+        at = at or now()
+        state = self._known.get(iface)
+        if state is None or state.index != ifindex:
+            state = self._known[iface] = _Interface(ifindex)
+        slow = at.mono_ns >= state.due_ns
+        stations = self._stations(ifindex, iface, at, tids=slow)
+        if {one.peer for one in stations} != state.peers.keys():
+            slow = True  # somebody came or went: channel and SSID may be others
+        surveys: tuple[ChannelSurvey, ...] = ()
+        if slow:
+            surveys = tuple(self._slow(state, iface, at, stations))
         stations = [self._with_age(state, one) for one in stations]
         for peer in state.peers.keys() - {one.peer for one in stations}:
             del state.peers[peer]
@@ -219,12 +231,6 @@ class Nl80211:
         """Give back the socket."""
         self._nl.close()
 
-    def _state(self, iface: str) -> _Interface:
-        state = self._known.get(iface)
-        if state is None:
-            state = self._known[iface] = _Interface(_index(iface))
-        return state
-
     def _interface(self, index: int) -> WirelessInterface:
         payload = pack(ATTR_IFINDEX, u32(index))
         return parse_interface(self._nl.ask(CMD_GET_INTERFACE, payload, asked="wireless interface")[0])
@@ -254,8 +260,6 @@ class Nl80211:
 
     def _slow(self, state: _Interface, iface: str, at: Now, stations: list[StationLink]) -> list[ChannelSurvey]:
         info = self._interface(state.index)
-        if info.name != iface:  # renamed: the index lives on under another name
-            raise NetlinkError(errno.ENODEV, f"wireless interface {iface}", f"is now called {info.name}")
         if info.ssid is None and stations and info.mode in CLIENT_MODES:
             info = info._replace(ssid=self._associated_ssid(state, stations[0].peer))
         state.info = info
