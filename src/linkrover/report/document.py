@@ -10,7 +10,7 @@ from linkrover.analysis.summary import RunSummary
 
 from .table import Column, Table, latex, markdown, terminal
 from .tables import label, run_table, table_three, table_two
-from .words import limits, overview, summary_words
+from .run_words import limits, overview, summary_words
 
 
 @dataclass(slots=True)
@@ -35,9 +35,7 @@ class Document:
         return [table for section in self.sections for table in section.tables]
 
 
-def build_document(
-    summaries: Sequence[RunSummary], runs: Sequence[Run] = (), needs: Sequence[str] = ()
-) -> Document:
+def build_document(summaries: Sequence[RunSummary], runs: Sequence[Run] = (), needs: Sequence[str] = ()) -> Document:
     """The report of one or several runs."""
     title = f"Run {summaries[0].run}" if len(summaries) == 1 else f"{len(summaries)} runs"
     document = Document(f"LinkRover report: {title}")

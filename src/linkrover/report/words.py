@@ -1,96 +1,91 @@
-"""Sentences about the figures: what was seen, how sure it is, what is missing."""
+"""What happened in a run, in sentences; each figure with its unit, and with its interval where there is one."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Any
 
-from linkrover.analysis.summary import RunSummary
+import numpy as np
 
-from .tables import label, main_interface
-
-
-def overview(summaries: Sequence[RunSummary]) -> list[str]:
-    """One sentence a run."""
-    return [run_sentence(summary) for summary in summaries]
+from .view import RunView
 
 
-def run_sentence(summary: RunSummary) -> str:
-    """The main figures of a run in one sentence."""
-    parts = [f"{label(summary)}: {summary.duration_s:.0f} s"]
-    if summary.motion.driven_m is not None:
-        parts.append(f"{summary.motion.driven_m:.0f} m driven")
-    robot = main_interface(summary.ends.get("robot"))
-    if robot is not None and robot.throughput_mbps.mean is not None:
-        text = f"{robot.throughput_mbps.mean:.1f} Mbit/s"
-        if (ci := robot.throughput_mbps.mean_ci95) is not None:
-            text += f" (95 %: {ci[0]:.1f} to {ci[1]:.1f})"
-        parts.append(text)
-    delay = summary.delay_ms
-    if delay.median is not None:
-        tail = f", 95 % below {delay.p95:.1f}" if delay.p95 is not None else ""
-        parts.append(f"round trip {delay.median:.1f} ms at the median{tail}")
-    if delay.loss_percent is not None:
-        parts.append(f"{delay.loss_percent:.1f} % of probes lost")
-    if summary.outages:
-        longest = max(o.duration_s for o in summary.outages)
-        several = "outages" if len(summary.outages) > 1 else "outage"
-        parts.append(f"{len(summary.outages)} {several}, the longest {longest:.1f} s")
-    elif summary.method == "linkrover" and delay.source is not None:
-        parts.append("no outage")
-    return ", ".join(parts) + "."
+def number(value: float | None, digits: int = 3) -> str:
+    """A figure for a reader: `digits` significant digits without an exponent, "unknown" for None or NaN."""
+    if value is None or not np.isfinite(value):
+        return "unknown"
+    if value == 0:
+        return "0"
+    places = max(0, digits - 1 - int(np.floor(np.log10(abs(value)))))
+    return f"{value:,.{places}f}"
 
 
-def summary_words(summary: RunSummary) -> list[str]:
-    """What a reader must know about one run beside its table."""
-    words: list[str] = []
-    clock = summary.clock
-    if clock.error_bound_ms is not None and clock.offset_ms is not None:
-        words.append(
-            f"Clocks: the station's was {clock.offset_ms:+.3f} ms from the robot's, known to "
-            f"{clock.error_bound_ms:.3f} ms ({clock.method})."
+def interval(pair: list[float] | tuple[float, float] | None) -> str:
+    """A 95 % interval in brackets, or nothing where it is unknown."""
+    if not pair or pair[0] is None or pair[1] is None:
+        return ""
+    return f" [{number(pair[0])}, {number(pair[1])}]"
+
+
+def sentences(view: RunView) -> list[str]:
+    """The run in a few sentences, from its summary."""
+    summary = view.summary
+    said = [_drive(view)]
+    for end, figures in (summary.get("ends") or {}).items():
+        for iface, values in (figures.get("interfaces") or {}).items():
+            line = _interface(end, iface, values)
+            if line:
+                said.append(line)
+    said.append(_delay(summary.get("delay_ms") or {}))
+    said.append(_outages(view))
+    return [sentence for sentence in said if sentence]
+
+
+def _drive(view: RunView) -> str:
+    text = f"The run lasted {number(view.duration_s)} s"
+    if view.path is not None and len(view.path.t_s) > 1:
+        way = float(np.hypot(np.diff(view.path.x_m), np.diff(view.path.y_m)).sum())
+        far = float(np.hypot(view.path.x_m - view.path.x_m[0], view.path.y_m - view.path.y_m[0]).max())
+        text += f"; the robot drove {number(way)} m and was at most {number(far)} m from its start"
+    return text + "."
+
+
+def _interface(end: str, iface: str, values: dict[str, Any]) -> str:
+    throughput = values.get("throughput_mbps") or {}
+    rssi = values.get("rssi_dbm") or {}
+    parts = []
+    if throughput.get("mean") is not None:
+        parts.append(
+            f"carried {number(throughput['mean'])} Mbit/s on average{interval(throughput.get('mean_ci95'))}"
+            f" (sent {number(throughput.get('tx_mean'))}, received {number(throughput.get('rx_mean'))})"
         )
-    else:
-        words.append(f"Clocks: {clock.method}.")
-    if summary.motion.rule:
-        words.append(f"Standing still by {summary.motion.rule}.")
-    for role, end in summary.ends.items():
-        for iface, figures in end.interfaces.items():
-            if figures.rssi_dbm.disagreeing:
-                words.append(
-                    f"{role} {iface}: {figures.rssi_dbm.disagreeing} signal readings contradict their connection "
-                    "status and are left out."
-                )
-            if figures.counter_resets:
-                words.append(f"{role} {iface}: counters restarted {figures.counter_resets} times; increments allow it.")
-    for method, delay in summary.application_delay_ms.items():
-        if summary.delay_ms.source not in (None, method) and delay.median is not None:
-            probe = summary.delay_ms.median
-            more = f", {delay.median - probe:+.2f} ms beyond the probe's" if probe is not None else ""
-            words.append(f"Application round trip ({method}): {delay.median:.2f} ms at the median{more}.")
-    words += [f"Missing: {problem}" for problem in summary.problems]
-    words += [f"Mended at import: {repair}" for repair in summary.repairs]
-    return words
+    if rssi.get("mean") is not None:
+        parts.append(f"read an RSSI of {number(rssi['mean'])} dBm (std {number(rssi.get('std'), 2)} dB)")
+    return f"At the {end}, {iface} " + " and ".join(parts) + "." if parts else ""
 
 
-def limits(summaries: Sequence[RunSummary]) -> list[str]:
-    """How the figures were made and what they do not say."""
-    if all(s.method == "pandey2022" for s in summaries):
-        return [
-            "Method pandey2022: the formulas of the 2022 paper, row by row, kept for comparison. A row is an odometry "
-            "message, so a one-second sample weighs as many rows as were written while it stood; rows of an outage are "
-            "left out of throughput; there are no intervals.",
-        ]
-    words = [
-        "Throughput is bytes over all elapsed time at the interface, both directions unless said; it is what was "
-        "sent, not what could have been.",
-        "Intervals are 95 %, from a stationary block bootstrap with blocks of twice the autocorrelation time; they "
-        "speak of this run only, not of the next drive.",
-        "Delay mean, median and percentiles are of answered probes; the line with time-outs counts each lost one as "
-        "the deadline.",
-    ]
-    threshold = next((s.outage_threshold_s for s in summaries if s.outage_threshold_s is not None), None)
-    if threshold is not None:
-        words.append(f"An outage is a stretch of more than {threshold:g} s without an answered probe.")
-    if any(s.setup and any(e.emulated for e in s.setup.values()) for s in summaries):
-        words.append("The radio was emulated: real packets, modelled channel.")
-    return words
+def _delay(delay: dict[str, Any]) -> str:
+    if delay.get("median") is None:
+        return "No round trip was answered." if delay.get("loss_percent") == 100 else ""
+    return (
+        f"A round trip took {number(delay['median'])} ms at the median, {number(delay.get('mean'))} ms on average"
+        f"{interval(delay.get('mean_ci95'))} and {number(delay.get('p95'))} ms at the 95th percentile; "
+        f"{number(delay.get('loss_percent'))} % of the probes were lost."
+    )
+
+
+def _outages(view: RunView) -> str:
+    if not view.outages:
+        return "There was no outage." if view.of("delay") else ""
+    lengths = [o.end_s - o.start_s for o in view.outages]
+    longest = view.outages[int(np.argmax(lengths))]
+    times = "once" if len(lengths) == 1 else f"{len(lengths)} times"
+    text = (
+        f"The link was out {times}, {number(sum(lengths))} s in all "
+        f"({number(100 * sum(lengths) / view.duration_s, 2)} % of the time); the longest outage, "
+        f"{number(max(lengths))} s, began {number(longest.start_s)} s into the run"
+    )
+    if view.path is not None:
+        x, y = view.path.at(np.array([longest.start_s]))
+        if np.isfinite(x[0]):
+            text += f" at x = {number(float(x[0]))} m, y = {number(float(y[0]))} m"
+    return text + "."
