@@ -47,8 +47,8 @@ class DelayProber:
     """Sends a ping every period_ns, never waiting for the last one, and takes one NetworkDelay for each.
 
     No answer within deadline_ns: delay_ns None, alive False (-1 on the wire of 2021). An answer that comes after
-    that is counted in `late` and taken as a second record of the same sequence with late=True; analyses that count
-    losses leave those out.
+    that is counted in `late` and taken as a further record of the same sequence under the method "<method> late", so
+    that every ping has exactly one record under its own method.
     """
 
     def __init__(
@@ -66,8 +66,8 @@ class DelayProber:
     ) -> None:
         self._loop = loop
         self._take = take
-        self._iface = iface
-        self._peer = peer
+        self.iface = iface
+        self.peer = peer
         self._method = method
         self._period_ns = period_ns
         self._deadline_ns = deadline_ns
@@ -160,9 +160,9 @@ class DelayProber:
                 wall_ns=sent.when.wall_ns,
                 mono_ns=sent.when.mono_ns,
                 unknown={} if reason is None else {"delay_ns": reason},
-                iface=self._iface,
-                peer=self._peer,
-                method=self._method,
+                iface=self.iface,
+                peer=self.peer,
+                method=f"{self._method} late" if late else self._method,
                 sequence=sequence,
                 delay_ns=delay_ns,
                 alive=delay_ns is not None and not late,

@@ -13,6 +13,9 @@ import msgspec
 
 from linkrover.records import Pose, VelocityCommand
 
+Fields = Mapping[str, Any] | Callable[[], Mapping[str, Any]]
+"""A message by field name, or what makes it, called where it is published and only if somebody listens."""
+
 
 class Answer(msgspec.Struct, frozen=True):
     """A ping's answer. received_mono_ns: CLOCK_MONOTONIC where the middleware handed it over."""
@@ -83,11 +86,15 @@ class Middleware(Protocol):
         """Announce this node and keep it announced, in the background, for as long as it takes."""
         ...
 
-    def publish(self, topic: str, type_name: str, fields: Mapping[str, Any], *, latched: bool = False) -> bool:
+    def publish(self, topic: str, type_name: str, fields: Fields, *, latched: bool = False) -> bool:
         """Queue a message; `fields` by field name, times as {sec, nanosec}. False: the queue was full.
 
         A type that is not known here is said on the log, once.
         """
+        ...
+
+    def set_parameter(self, name: str, value: str) -> None:
+        """Say something of this node that others on the graph can look up by its name, for as long as it lives."""
         ...
 
     def answer_pings(self, action: str) -> Callable[[], None]:

@@ -23,12 +23,18 @@ class Parameters:
         self._private = {k[1:]: v for k, v in given.items() if re.match(r"_[A-Za-z]", k)}
         self._timeout_s = timeout_s
 
+    def private(self, name: str) -> Any:
+        """The value given on the command line (`_name:=value`), None = not given."""
+        if name not in self._private:
+            return None
+        import yaml
+
+        return yaml.safe_load(self._private[name])
+
     def get(self, name: str) -> Any:
         """The value, None = not set. Raises RpcError when there is no master."""
         if name in self._private:
-            import yaml
-
-            return yaml.safe_load(self._private[name])
+            return self.private(name)
         master = Rpc(master_uri(), f"{self.namespace}{self.node}", self._timeout_s)
         for key in (f"{self.namespace}{self.node}/{name}", f"{self.namespace}{name}", f"/{name}"):
             code, _, value = master.raw("getParam", key)

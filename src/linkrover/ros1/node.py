@@ -14,7 +14,7 @@ import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ import rospy.impl.registration as registration
 from rosgraph.names import is_legal_base_name
 
 from linkrover.errors import ConfigError
-from linkrover.middleware.protocol import Answer, Graph
+from linkrover.middleware.protocol import Answer, Fields, Graph
 from linkrover.records import Pose, VelocityCommand
 
 from .fill import build
@@ -52,15 +52,15 @@ class Ros1:
     name = "ros1"
 
     def __init__(self, node: str, argv: Sequence[str] = (), *, queue_size: int = QUEUE) -> None:
-        self._argv = [a for a in argv if ":=" in a]
-        given = [a.partition(":=")[2] for a in self._argv if a.startswith("__name:=")]
-        self._argv = [a for a in self._argv if not a.startswith("__name:=")]
+        remappings = [a for a in argv if ":=" in a]
+        given = [a.partition(":=")[2] for a in remappings if a.startswith("__name:=")]
+        self._argv = [a for a in remappings if not a.startswith("__name:=")]
         self._node = given[-1] if given else node
         if not is_legal_base_name(self._node):
             raise ConfigError(
                 f"'{self._node}' cannot be a ROS node name: letters, digits and _, beginning with a letter"
             )
-        self._queue: queue.Queue[tuple[str, str, Mapping[str, Any], bool] | None] = queue.Queue(queue_size)
+        self._queue: queue.Queue[tuple[str, str, Fields, bool] | None] = queue.Queue(queue_size)
         self._publishers: dict[str, Any] = {}
         self._wanted: collections.deque[Callable[[], None]] = collections.deque()
         self._wake = threading.Event()
@@ -69,6 +69,7 @@ class Ros1:
         self._ended = False
         self._watch: MasterWatch | None = None
         self._unknown_types: set[str] = set()
+        self._parameters: dict[str, str] = {}
         self._threads = [
             threading.Thread(target=self._run, name="ros1 registrar", daemon=True),
             threading.Thread(target=self._publish_from_queue, name="ros1 publisher", daemon=True),
@@ -76,6 +77,20 @@ class Ros1:
         self.lost_messages = 0
         self.published = 0
         self.resolved_name = ""
+
+    @property
+    def node(self) -> str:
+        """The name asked for, without namespace."""
+        return self._node
+
+    @property
+    def argv(self) -> tuple[str, ...]:
+        """Remappings and private parameters."""
+        return tuple(self._argv)
+
+    def resolve(self, name: str) -> str:
+        """The full name after namespace and remappings; once joined."""
+        return str(rospy.resolve_name(name))
 
     @property
     def joined(self) -> bool:
@@ -100,7 +115,7 @@ class Ros1:
         """Wait for the first registration; for tests and tools, not for sampling."""
         return self._joined.wait(timeout_s)
 
-    def publish(self, topic: str, type_name: str, fields: Mapping[str, Any], *, latched: bool = False) -> bool:
+    def publish(self, topic: str, type_name: str, fields: Fields, *, latched: bool = False) -> bool:
         """Queue a message; never blocks. False: the queue was full, the message is counted in lost_messages."""
         if not latched and not self._joined.is_set():
             return True  # nobody could be listening yet
@@ -110,6 +125,24 @@ class Ros1:
             self.lost_messages += 1
             return False
         return True
+
+    def set_parameter(self, name: str, value: str) -> None:
+        """A private parameter of this node on the master; set again when the master was restarted."""
+        self._parameters[name] = value
+        if self._joined.is_set():
+            self._later(self._set_parameters)
+
+    def _set_parameters(self) -> None:
+        master = Rpc(master_uri(), self.resolved_name)
+        for name, value in self._parameters.items():
+            try:
+                master.call("setParam", f"{self.resolved_name}/{name}", value)
+            except RpcError as error:  # noqa: PERF203
+                log.warning("cannot set the parameter %s: %s", name, error)
+
+    def _register_again(self) -> None:
+        _register_everything()
+        self._set_parameters()
 
     def answer_pings(self, action: str) -> Callable[[], None]:
         """Serve the ping action; warns where somebody else already does."""
@@ -148,14 +181,6 @@ class Ros1:
     def graph(self, timeout_s: float = 2.0) -> Graph:
         """Nodes and topics as the master knows them."""
         return read_graph(self.resolved_name or "/linkrover", timeout_s)
-
-    def parameter(self, name: str, timeout_s: float = 2.0) -> Any:
-        """A parameter, private first, then relative to the namespace, then global; None = not set.
-
-        Raises:
-            RpcError: no master.
-        """
-        return Parameters(self._node, self._argv, timeout_s).get(name)
 
     def close(self) -> None:
         """Leave the graph; bounded in time even when the master is away."""
@@ -206,9 +231,10 @@ class Ros1:
         self.resolved_name = rospy.get_name()
         forward_internal_errors(log)
         uri = rospy.core.get_node_uri()
-        self._watch = MasterWatch(self.resolved_name, uri, _register_everything)
+        self._watch = MasterWatch(self.resolved_name, uri, self._register_again)
         self._watch.start()
         log.info("joined the ROS graph at %s as %s", master_uri(), self.resolved_name)
+        self._set_parameters()
         self._joined.set()
         self._warn_of_simulated_time()
         return True
@@ -262,7 +288,7 @@ class Ros1:
             if item is not None and not self._ended:
                 self._publish_one(*item)
 
-    def _publish_one(self, topic: str, type_name: str, fields: Mapping[str, Any], latched: bool) -> None:
+    def _publish_one(self, topic: str, type_name: str, fields: Fields, latched: bool) -> None:
         publisher = self._publishers.get(topic)
         if publisher is None:
             if type_name in self._unknown_types:
@@ -277,14 +303,14 @@ class Ros1:
         if not latched and publisher.get_num_connections() == 0:
             return
         try:
-            publisher.publish(build(type_name, fields))
+            publisher.publish(build(type_name, fields() if callable(fields) else fields))
             self.published += 1
-        except (rospy.ROSException, KeyError) as error:
+        except Exception as error:  # noqa: BLE001  one message's fault must not end all topics
             if not self._closed.is_set() and topic not in self._unknown_types:
                 self._unknown_types.add(topic)
                 log.error("cannot publish on %s: %s", topic, error)
 
-    def _publish_again(self, topic: str, type_name: str, fields: Mapping[str, Any]) -> None:
+    def _publish_again(self, topic: str, type_name: str, fields: Fields) -> None:
         self.publish(topic, type_name, fields, latched=True)
 
     def _advertise(self, topic: str, type_name: str, latched: bool) -> None:
