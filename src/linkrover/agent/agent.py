@@ -15,6 +15,7 @@ from linkrover.probe.reflector import StampReflector
 from linkrover.records import EventKind, LinkEvent, Manifest, Record, now
 from linkrover.sources.interface import InterfaceSocket, InterfaceWatch, interface_names, no_such_interface
 from linkrover.sources.network_errors import NetworkErrorsSource
+from linkrover.sources.radio import RadioSource
 from linkrover.sources.utilization import UtilizationSource
 from linkrover.sources.wireless import WirelessSource, open_wireless_source
 
@@ -23,6 +24,7 @@ from .config import AgentConfig, check
 from .feed import FeedReceiver
 from .machine import collect_manifest
 from .probing import Probing
+from .radio import RadioPart
 from .sink import Sink
 
 # Jobs due together share one waking of the process, which costs more than most of them. This little between them
@@ -224,10 +226,16 @@ class Agent:
         rates = self.config.rates
         if not self.watches:
             return
+        radios: dict[str, RadioSource] = {}
         for watch in self.watches:
             wireless = open_wireless_source(watch, path=self.config.wireless_path, sockets=self._sockets)
+            if isinstance(wireless, RadioSource):
+                radios[watch.iface] = wireless
             self._closers.append(wireless.close)
             self.every(rates.wireless_hz, self._checked(wireless, f"wireless link of {watch.iface}"))
+        radio = RadioPart(changed=lambda iface: radios[iface].refresh() if iface in radios else None)
+        radio.start(self)
+        self._closers.append(radio.stop)
         utilization = UtilizationSource(self.watches)
         errors = NetworkErrorsSource(self.watches, sockets=self._sockets)
         self._closers += [utilization.close, errors.close]

@@ -22,6 +22,7 @@ class Rates(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     utilization_hz: float = 1.0
     errors_hz: float = 1.0
     account_hz: float = 1.0
+    tcp_hz: float = 1.0
     clock_hz: float = 1.0
 
 
@@ -64,6 +65,7 @@ class AgentConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     run: str | None = None
     emulated: bool = False
     log_period_s: float = 5.0
+    scan_period_s: float = 0.0  # 0 = never: a scan disturbs the link
     rates: Rates = msgspec.field(default_factory=Rates)
     probe: Probe = msgspec.field(default_factory=Probe)
     reflector: Reflector = msgspec.field(default_factory=Reflector)
@@ -109,7 +111,7 @@ def check(config: AgentConfig, file: str = "configuration") -> AgentConfig:
         ConfigError: names the key, the value and what is allowed.
     """
     for section, keys in (
-        (config.rates, ("wireless_hz", "utilization_hz", "errors_hz", "account_hz", "clock_hz")),
+        (config.rates, ("wireless_hz", "utilization_hz", "errors_hz", "account_hz", "clock_hz", "tcp_hz")),
         (config.probe, ("rate_hz",)),
     ):
         name = type(section).__name__.lower()
@@ -122,6 +124,7 @@ def check(config: AgentConfig, file: str = "configuration") -> AgentConfig:
         ("probe.packet_bytes", config.probe.packet_bytes, 44, 1472),
         ("outage.threshold_s", config.outage.threshold_s, 0.01, 3600),
         ("log_period_s", config.log_period_s, 0.1, 86400),
+        ("scan_period_s", config.scan_period_s or None, 5, 86400),
         ("duration_s", config.duration_s, 0.001, 1e9),
         ("trial", config.trial, 0, 1e9),
         ("reflector.port", config.reflector.port, 0, 65535),

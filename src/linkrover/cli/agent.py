@@ -36,6 +36,8 @@ def agent(
     wireless_rate: float | None = None,
     utilization_rate: float | None = None,
     errors_rate: float | None = None,
+    tcp_rate: float | None = None,
+    scan_period: float | None = None,
     probe_rate: float | None = None,
     port: int | None = None,
     key_file: Path | None = None,
@@ -84,6 +86,11 @@ def agent(
         Samples of traffic per second; 0 = off. [default: 1]
     errors_rate
         Samples of the error counters per second; 0 = off. [default: 1]
+    tcp_rate
+        Samples of each TCP connection over the interface per second; 0 = off. [default: 1]
+    scan_period
+        Scan for other access points every so many seconds, at least 5; 0 = never. A scan leaves the channel and so
+        disturbs the link; it needs CAP_NET_ADMIN and is recorded. [default: 0]
     probe_rate
         Probes per second to each peer, 1 to 1000; 0 = off. [default: 10]
     port
@@ -117,13 +124,19 @@ def agent(
             "feed": feed,
             "wait": wait or None,
             "wireless_path": wireless_path,
+            "scan_period_s": scan_period,
             "case": case,
             "trial": trial,
             "run": run,
             "emulated": emulated or None,
         },
         {
-            "rates": {"wireless_hz": wireless_rate, "utilization_hz": utilization_rate, "errors_hz": errors_rate},
+            "rates": {
+                "wireless_hz": wireless_rate,
+                "utilization_hz": utilization_rate,
+                "errors_hz": errors_rate,
+                "tcp_hz": tcp_rate,
+            },
             "probe": {"rate_hz": probe_rate, "key_file": key_file},
             "reflector": {"port": port},
         },

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from typing import Protocol
 
 from linkrover.errors import LinkRoverError, ParseError
-from linkrover.records import Bitrate, Now, Unknown, WirelessLink, now
+from linkrover.records import Bitrate, Now, Record, Unknown, WirelessLink, now
 
 from .interface import InterfaceSocket, InterfaceWatch
 from .kept import SourceUnavailableError
@@ -18,11 +19,11 @@ _READINGS = ("rssi_dbm", "noise_dbm", "link_quality", "tx_failed", "missed_beaco
 
 
 class WirelessSource(Protocol):
-    """A way to the link state of one interface; several records where an access point has several peers."""
+    """A way to the link state of one interface: WirelessLink, per peer on an access point, and what else it gives."""
 
     last_error: LinkRoverError | None
 
-    def sample(self) -> list[WirelessLink]:
+    def sample(self) -> Sequence[Record]:
         """The link now; empty when the interface is not a wireless one. Raises nothing."""
         ...
 
@@ -164,4 +165,8 @@ def open_wireless_source(
 
     `path` forces the text format of /proc/net/wireless from that file (an emulated driver's).
     """
-    return WextSource(watch, path=path, sockets=sockets)
+    if path is not None:
+        return WextSource(watch, path=path, sockets=sockets)
+    from .radio import RadioSource  # it falls back on the class above
+
+    return RadioSource(watch, sockets=sockets)
