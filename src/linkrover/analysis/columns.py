@@ -104,6 +104,7 @@ class RawEnd:
     manifest: Manifest | None = None
     events: list[LinkEvent] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
+    published_2021: bool = False  # messages of the 2021 package as its nodes published them
 
     def table(self, kind: str, *key: str) -> Columns | None:
         """One table, `None` where nothing of it was recorded."""
@@ -125,9 +126,7 @@ def from_records(records: Iterable[Record]) -> RawEnd:
             continue
         key = tuple(str(getattr(record, name)) for name in keys)
         rows.setdefault(kind, {}).setdefault(key, []).append(record)
-    raw.tables = {
-        kind: {key: _columns(kind, found) for key, found in groups.items()} for kind, groups in rows.items()
-    }
+    raw.tables = {kind: {key: _columns(kind, found) for key, found in groups.items()} for kind, groups in rows.items()}
     return raw
 
 
@@ -142,7 +141,9 @@ def _columns(kind: str, records: list[Record]) -> Columns:
 
 
 def _text(value: Any) -> str | None:
-    return value.value if isinstance(value, enum.Enum) else value
+    if value is None:
+        return None
+    return str(value.value if isinstance(value, enum.Enum) else value)
 
 
 def numbers(values: list[Any]) -> Any:

@@ -29,6 +29,7 @@ class OneWay(msgspec.Struct, frozen=True, kw_only=True):
     median: float | None = None
     p95: float | None = None
     error_bound_ms: float | None = None
+    reason: str | None = None
 
 
 class DelayFigures(msgspec.Struct, frozen=True, kw_only=True):
@@ -79,6 +80,7 @@ class Outage(msgspec.Struct, frozen=True, kw_only=True):
     y_m: float | None = None
     distance_m: float | None = None
     rssi_dbm: float | None = None
+    reason: str | None = None
 
 
 @dataclass(slots=True)
@@ -313,7 +315,9 @@ def _offset(part: Probes, end: End | None) -> tuple[Floats, float] | None:
     if not known.any():
         return None
     wall = table["wall_ns"][known].astype(np.float64)
-    return np.interp(part.table["wall_ns"], wall, table["offset_ns"][known]), float(table["error_bound_ns"][known].max())
+    return np.interp(part.table["wall_ns"], wall, table["offset_ns"][known]), float(
+        table["error_bound_ns"][known].max()
+    )
 
 
 def outage_window(probes: Probes | None, span: Window, threshold_s: float = OUTAGE_THRESHOLD_S) -> tuple[Window, bool]:

@@ -11,9 +11,10 @@ from .stats import binned, ratio_ci95, weighted_mean_std, weighted_quantiles
 from .window import Window
 
 if TYPE_CHECKING:
-    from .run import Columns
     import numpy as np
     from numpy.typing import NDArray
+
+    from .run import Columns
 
     Floats = NDArray[np.float64]
 
@@ -66,6 +67,7 @@ class SpreadFigures(msgspec.Struct, frozen=True, kw_only=True):
 
     mean: float | None = None
     std: float | None = None
+    reason: str | None = None
 
 
 class CounterFigures(msgspec.Struct, frozen=True, kw_only=True):
@@ -100,7 +102,7 @@ def throughput_figures(table: Columns | None, window: Window, connected: Window)
     connected_mean, _ = weighted_mean_std(rate, up)
     usual = float(np.median(length))
     if usual < BIN_S / 2:  # many samples a second: their correlation is the same story told often
-        numerator, denominator = binned(begin, end, rate, inside, BIN_S)
+        numerator, denominator = binned(begin, rate, inside, BIN_S)
         step = BIN_S
     else:
         numerator, denominator, step = rate * inside, inside, usual
@@ -175,9 +177,7 @@ def signal_figures(end: End, table: Columns | None, window: Window, published_20
     )
 
 
-def signal_steps(
-    table: Columns, published_2021: bool
-) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]:
+def signal_steps(table: Columns, published_2021: bool) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]:
     """Begin and end of the time each reading stands for, which readings are valid, which status contradicts them."""
     import numpy as np
 
@@ -270,7 +270,7 @@ def interleaved(raw: Floats) -> tuple[list[float], list[float]] | None:
             second.append(value)
         else:
             return None
-    changes = sum(1 for a, b in zip(raw[:-1], raw[1:], strict=True) if b < a)
+    changes = int((raw[1:] < raw[:-1]).sum())
     return (first, second) if second and changes > 1 and len(second) > 1 else None
 
 

@@ -15,11 +15,12 @@ from .run import HOLD_S, Clock, End, Run
 from .window import Window
 
 if TYPE_CHECKING:
-    from .run import Columns
     import numpy as np
     from numpy.typing import NDArray
 
     from linkrover.importer.trial import Trial
+
+    from .run import Columns
 
     Times = NDArray[np.int64]
 
@@ -97,7 +98,9 @@ def build_run(name: str, path: str, raws: dict[str, RawEnd], problems: list[str]
     """Join what was read of each end. `raws` may also hold "truth"."""
     problems = [*problems, *(f"{role}: {p}" for role, raw in raws.items() for p in raw.problems)]
     manifests = [raw.manifest for raw in raws.values() if raw.manifest is not None]
-    published = any(m.notes.get("publisher") == "2021" for m in manifests)
+    published = any(m.notes.get("publisher") == "2021" for m in manifests) or any(
+        r.published_2021 for r in raws.values()
+    )
     shifts, clock = _join_clocks(raws, published, problems)
     local = {role: _Clock(raw, shifts.get(role, 0), problems, role) for role, raw in raws.items()}
     firsts = [c.first for role, c in local.items() if c.first is not None and role in ENDS]
@@ -105,7 +108,7 @@ def build_run(name: str, path: str, raws: dict[str, RawEnd], problems: list[str]
         raise ParseError(path, "recordings", "at least one sample from one end", "none")
     origin = local["robot"].first if "robot" in local and local["robot"].first is not None else min(firsts)
     assert origin is not None
-    ends = {role: _end(role, raw, local[role], origin, published) for role, raw in raws.items() if role in ENDS}
+    ends = {role: _end(role, raw, local[role], origin) for role, raw in raws.items() if role in ENDS}
     for role in ENDS:
         if role not in ends:
             problems.append(f"{role}: no recording of this end; its figures are missing")
@@ -243,7 +246,7 @@ def _say_what_is_missing(ends: dict[str, End], problems: list[str]) -> None:
             problems.append(f"{role}: no wireless link was recorded")
 
 
-def _end(role: str, raw: RawEnd, clock: _Clock, origin: int, published: bool) -> End:
+def _end(role: str, raw: RawEnd, clock: _Clock, origin: int) -> End:
     import numpy as np
 
     def ready(table: Columns) -> Columns:

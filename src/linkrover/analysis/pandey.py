@@ -24,9 +24,10 @@ from .summary import (
 )
 
 if TYPE_CHECKING:
-    from .run import Columns
     import numpy as np
     from numpy.typing import NDArray
+
+    from .run import Columns
 
     Floats = NDArray[np.float64]
     Flags = NDArray[np.bool_]
@@ -88,7 +89,7 @@ class Rows:
         moved = np.flatnonzero(~self.static[first:])
         out = self.static.copy()
         out[first : first + int(moved[0]) if len(moved) else len(out)] = False
-        return out
+        return np.asarray(out, dtype=np.bool_)
 
 
 def mean_std(values: Floats) -> tuple[float | None, float | None]:

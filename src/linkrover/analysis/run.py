@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 from linkrover.records import LinkEvent, Manifest
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from .window import Window

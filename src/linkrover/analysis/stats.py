@@ -141,7 +141,7 @@ def quantile_ci95(ordered: Floats, probability: float, ess: float) -> tuple[floa
     return float(ordered[int(low * (n - 1))]), float(ordered[min(n - 1, math.ceil(high * (n - 1)))])
 
 
-def binned(starts: Floats, ends: Floats, values: Floats, weights: Floats, width: float) -> tuple[Floats, Floats]:
+def binned(starts: Floats, values: Floats, weights: Floats, width: float) -> tuple[Floats, Floats]:
     """Weighted sums of a step function in bins of `width` (sum of value x weight, sum of weight), by each start."""
     import numpy as np
 
@@ -149,4 +149,5 @@ def binned(starts: Floats, ends: Floats, values: Floats, weights: Floats, width:
         return np.zeros(0), np.zeros(0)
     index = ((starts - starts[0]) / width).astype(np.int64)
     n = int(index[-1]) + 1 if len(index) else 0
-    return np.bincount(index, values * weights, n), np.bincount(index, weights, n)
+    value = np.bincount(index, values * weights, n).astype(np.float64)
+    return value, np.bincount(index, weights, n).astype(np.float64)

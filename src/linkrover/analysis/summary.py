@@ -8,8 +8,16 @@ import msgspec
 
 from linkrover.errors import ConfigError
 
-from .delay import OUTAGE_THRESHOLD_S, DelayFigures, Outage, Probes, application_probes, delay_figures, find_probes
-from .delay import outage_window
+from .delay import (
+    OUTAGE_THRESHOLD_S,
+    DelayFigures,
+    Outage,
+    Probes,
+    application_probes,
+    delay_figures,
+    find_probes,
+    outage_window,
+)
 from .link import (
     CounterFigures,
     SignalFigures,
@@ -20,6 +28,7 @@ from .link import (
     throughput_figures,
 )
 from .motion import MotionFigures, motion_figures, moving_window, position_at, still_window
+from .reasons import with_reasons
 from .run import End, Run
 from .window import Window
 
@@ -80,6 +89,7 @@ class ClockFigures(msgspec.Struct, frozen=True, kw_only=True):
     method: str
     offset_ms: float | None = None
     error_bound_ms: float | None = None
+    reason: str | None = None
 
 
 class Setup(msgspec.Struct, frozen=True, kw_only=True):
@@ -128,16 +138,20 @@ def summarise(run: Run, method: str = "linkrover", *, outage_threshold_s: float 
     if method == "pandey2022":
         from .pandey import summarise_pandey
 
-        return summarise_pandey(run)
+        return with_reasons(summarise_pandey(run))
     if method != "linkrover":
         raise ConfigError(f"method '{method}' is unknown; there are: {', '.join(METHODS)}")
+    return with_reasons(_summarise(run, outage_threshold_s))
+
+
+def _summarise(run: Run, outage_threshold_s: float) -> RunSummary:
     probes = find_probes(run)
     out, still_out = outage_window(probes, run.span, outage_threshold_s)
     connected = run.span.without(out)
     still, rule = still_window(run)
     whole = _part(run, run.span, connected, probes, details=True)
     return RunSummary(
-        method=method,
+        method="linkrover",
         run=run.name,
         case=run.case,
         trial=run.trial,
@@ -204,11 +218,11 @@ def _part(run: Run, window: Window, connected: Window, probes: Probes | None, *,
     return PartFigures(
         duration_s=window.seconds,
         delay_ms=delay_figures(probes, window, run, details=details),
-        ends={role: _end(run, end, _own(run, end, window, details), connected) for role, end in run.ends.items()},
+        ends={role: _end(run, end, _own(end, window, details), connected) for role, end in run.ends.items()},
     )
 
 
-def _own(run: Run, end: End, window: Window, whole: bool) -> Window:
+def _own(end: End, window: Window, whole: bool) -> Window:
     """An end whose recording does not overlap the run's span is summed up over its own time."""
     if not whole or end.role == "robot" or end.alive is None or not len(end.alive.ends):
         return window

@@ -69,12 +69,10 @@ def report(
 
     summaries = [summarise(run, method, outage_threshold_s=outage_threshold) for run in loaded]
     if format == "html":
-        try:
-            from linkrover.report.html import write_html
-        except ImportError as error:
-            raise ConfigError(f"the HTML report cannot be made ({error}); use --format md") from error
+        from linkrover.report.views import write_html
+
         target = out or Path("linkrover-report.html")
-        write_html(loaded, summaries, target)
+        write_html(loaded, summaries, target, need)
         print(target)
     elif format == "json":
         import msgspec

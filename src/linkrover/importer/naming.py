@@ -45,12 +45,25 @@ def guess_setup(path: str | PurePath, case: str | None = None, trial: int | None
     what the name says; an overriding case 1 to 10 also gives the factors of Table I.
     """
     pure = PurePath(path)
-    parents = [part for part in pure.parts[:-1] if re.fullmatch(r"(?i)(router|client|server|robot|station|internal|"
-                                                                r"external|2g|5g|trial\d*)", part)]
+    parents = [
+        part
+        for part in pure.parts[:-1]
+        if re.fullmatch(
+            r"(?i)(router|client|server|robot|station|internal|"
+            r"external|2g|5g|trial\d*)",
+            part,
+        )
+    ]
     words = [word for part in [*parents, pure.stem] for word in re.split(r"[^A-Za-z0-9.]+", part.lower()) if word]
     ap = next((place for word in words for key, place in _PLACES if word.startswith(key)), None)
-    band = next(("2.4 GHz" if m[1].startswith("2") else "5 GHz" for w in words if (m := re.fullmatch(
-        r"(2\.?4?|5)g(?:hz)?", w))), None)
+    band = next(
+        (
+            "2.4 GHz" if m[1].startswith("2") else "5 GHz"
+            for w in words
+            if (m := re.fullmatch(r"(2\.?4?|5)g(?:hz)?", w))
+        ),
+        None,
+    )
     adapter = next((kind for word in words for kind in ("internal", "external") if word.startswith(kind[:3])), None)
     if ap == "router":
         adapter = adapter or "internal"

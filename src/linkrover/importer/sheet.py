@@ -178,7 +178,7 @@ def _sound_rows(columns: dict[str, Floats | Times], file: str, repairs: list[str
 def _put_clock_right(
     wall: Times, columns: dict[str, Floats | Times], repairs: list[str]
 ) -> tuple[Times, dict[str, Floats | Times]]:
-    """Strictly increasing stamps: sort, drop exact doubles, rebuild from the odometry sequence where digits are gone."""
+    """Strictly increasing stamps: sort, drop doubles, rebuild from the odometry sequence where digits are gone."""
     import numpy as np
 
     step = columns.get("time_step")

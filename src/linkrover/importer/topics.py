@@ -131,7 +131,7 @@ def _errors(sheet: Sheet, end: str, suffix: str, label: str, repairs: list[str])
         if raw is None:
             continue
         sound = (raw >= 0) & (raw < 2**62)
-        if (bad := int((~sound & (raw != NOTHING_YET)).sum())):
+        if bad := int((~sound & (raw != NOTHING_YET)).sum()):
             repairs.append(f"{label}: {bad} impossible values of {column} left out")
         counter = np.where(sound, raw, np.nan)
         falls = int((np.diff(counter[sound]) < 0).sum())
@@ -190,7 +190,7 @@ def _delay(sheet: Sheet, repairs: list[str]) -> Columns | None:
     times, delays = [wall[answered] - delay_ns[answered]], [delay_ns[answered]]
     inferred = 0
     for begin, end in zip(wall[lost], ends[lost], strict=True):
-        count = max(1, int(round((end - begin) / DEADLINE_NS)))
+        count = max(1, round((end - begin) / DEADLINE_NS))
         inferred += count - 1
         times.append(begin - DEADLINE_NS + np.arange(count) * DEADLINE_NS)
         delays.append(np.full(count, -1))

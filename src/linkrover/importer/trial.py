@@ -163,11 +163,11 @@ def _errors(iface: str, table: Columns) -> Iterator[tuple[int, Record]]:
     names = [name for name in ("mac_tx_retries", "tcp_retransmits") if name in table]
     last: dict[str, float] = {}
     for wall, *values in zip(table["wall_ns"].tolist(), *(table[name].tolist() for name in names), strict=True):
-        known = {name: value for name, value in zip(names, values, strict=True) if value == value}
+        known: dict[str, float] = {name: value for name, value in zip(names, values, strict=True) if value == value}
         continuity = Continuity.STEADY if last else Continuity.FIRST
         if any(value < last.get(name, value) for name, value in known.items()):
             continuity = Continuity.RESET
-        last.update(known)
+        last = {**last, **known}
         yield (
             wall,
             NetworkErrors(
@@ -176,7 +176,7 @@ def _errors(iface: str, table: Columns) -> Iterator[tuple[int, Record]]:
                 iface=iface,
                 continuity=continuity,
                 unknown={name: Unknown.ABSENT for name in names if name not in known},
-                **{name: int(value) for name, value in known.items()},
+                **{str(name): int(value) for name, value in known.items()},
             ),
         )
 

@@ -28,9 +28,13 @@ def write_run(trial: Trial, out: Path) -> Path:
             with Recorder(folder / role.value, trial.manifest(role)) as recorder:
                 for record in trial.records(role):
                     recorder.take(record)
-            if recorder.problem or recorder.records_lost:
-                raise LinkRoverError(f"cannot write {folder}: {recorder.problem or 'records were lost'}")
+            _check(recorder, folder)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     return folder
+
+
+def _check(recorder: Recorder, folder: Path) -> None:
+    if recorder.problem or recorder.records_lost:
+        raise LinkRoverError(f"cannot write {folder}: {recorder.problem or 'records were lost'}")

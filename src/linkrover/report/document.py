@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from linkrover.analysis.run import Run
 from linkrover.analysis.summary import RunSummary
 
+from .run_words import limits, overview, summary_words
 from .table import Column, Table, latex, markdown, terminal
 from .tables import label, run_table, table_three, table_two
-from .run_words import limits, overview, summary_words
 
 
 @dataclass(slots=True)
@@ -40,8 +40,7 @@ def build_document(summaries: Sequence[RunSummary], runs: Sequence[Run] = (), ne
     title = f"Run {summaries[0].run}" if len(summaries) == 1 else f"{len(summaries)} runs"
     document = Document(f"LinkRover report: {title}")
     document.sections.append(Section("In short", overview(summaries)))
-    if len(summaries) > 1 or summaries[0].method == "pandey2022":
-        document.sections.append(Section("Set-ups side by side", [], [table_two(summaries), table_three(summaries)]))
+    document.sections.extend(comparison_sections(summaries, runs, needs))
     for summary in summaries:
         section = Section(label(summary), summary_words(summary), [run_table(summary)])
         if summary.outages:
@@ -49,6 +48,15 @@ def build_document(summaries: Sequence[RunSummary], runs: Sequence[Run] = (), ne
         document.sections.append(section)
     document.sections.append(Section("Method and limits", limits(summaries)))
     return document
+
+
+def comparison_sections(
+    summaries: Sequence[RunSummary], runs: Sequence[Run] = (), needs: Sequence[str] = ()
+) -> list[Section]:
+    """Set-ups side by side, and what may be said about their differences."""
+    if len(summaries) < 2 and summaries[0].method != "pandey2022":
+        return []
+    return [Section("Set-ups side by side", [], [table_two(summaries), table_three(summaries)])]
 
 
 def outage_table(summary: RunSummary) -> Table:

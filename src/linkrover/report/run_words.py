@@ -8,6 +8,26 @@ from linkrover.analysis.summary import RunSummary
 
 from .tables import label, main_interface
 
+PAPER = (
+    "Method pandey2022: the formulas of the 2022 paper, row by row, kept for comparison. A row is an odometry message, "
+    "so a one-second sample weighs as many rows as were written while it stood; rows of an outage are left out of "
+    "throughput; there are no intervals."
+)
+OURS = (
+    (
+        "Throughput is bytes over all elapsed time at the interface, both directions unless said; it is what was sent, "
+        "not what could have been."
+    ),
+    (
+        "Intervals are 95 %, from a stationary block bootstrap with blocks of twice the autocorrelation time; they "
+        "speak of this run only, not of the next drive."
+    ),
+    (
+        "Delay mean, median and percentiles are of answered probes; the line with time-outs counts each lost one as "
+        "the deadline."
+    ),
+)
+
 
 def overview(summaries: Sequence[RunSummary]) -> list[str]:
     """One sentence a run."""
@@ -78,19 +98,8 @@ def summary_words(summary: RunSummary) -> list[str]:
 def limits(summaries: Sequence[RunSummary]) -> list[str]:
     """How the figures were made and what they do not say."""
     if all(s.method == "pandey2022" for s in summaries):
-        return [
-            "Method pandey2022: the formulas of the 2022 paper, row by row, kept for comparison. A row is an odometry "
-            "message, so a one-second sample weighs as many rows as were written while it stood; rows of an outage are "
-            "left out of throughput; there are no intervals.",
-        ]
-    words = [
-        "Throughput is bytes over all elapsed time at the interface, both directions unless said; it is what was "
-        "sent, not what could have been.",
-        "Intervals are 95 %, from a stationary block bootstrap with blocks of twice the autocorrelation time; they "
-        "speak of this run only, not of the next drive.",
-        "Delay mean, median and percentiles are of answered probes; the line with time-outs counts each lost one as "
-        "the deadline.",
-    ]
+        return [PAPER]
+    words = list(OURS)
     threshold = next((s.outage_threshold_s for s in summaries if s.outage_threshold_s is not None), None)
     if threshold is not None:
         words.append(f"An outage is a stretch of more than {threshold:g} s without an answered probe.")

@@ -67,7 +67,7 @@ def show(value: str | float | int | None, column: Column) -> str:
 def truncated(value: float, decimals: int = 1) -> float:
     """Cut after so many decimals, towards zero."""
     scale = 10**decimals
-    return math.trunc(round(value * scale, 6)) / scale
+    return float(math.trunc(round(value * scale, 6)) / scale)
 
 
 def markdown(table: Table) -> str:
@@ -79,9 +79,7 @@ def markdown(table: Table) -> str:
     lines.append("|" + "|".join("---:" if n else "---" for n in numeric) + "|")
     for i in range(len(table.rows)):
         cells = [_md(table.text(i, j)) for j in range(len(table.columns))]
-        lines.append(
-            "| " + " | ".join(f"**{c}**" if (i, j) in best else c for j, c in enumerate(cells)) + " |"
-        )
+        lines.append("| " + " | ".join(f"**{c}**" if (i, j) in best else c for j, c in enumerate(cells)) + " |")
     if table.notes:
         lines += ["", *(f"{_md(note)}  " for note in table.notes)]
     return "\n".join(lines) + "\n"

@@ -52,8 +52,12 @@ def run_table(summary: RunSummary) -> Table:
     rows.append(["median", "ms", delay.median, None, interval(delay.median_ci95), *(p.median for p in parts)])
     rows.append(["95th percentile", "ms", delay.p95, None, interval(delay.p95_ci95), *(p.p95 for p in parts)])
     rows.append(["99th percentile", "ms", delay.p99, None, interval(delay.p99_ci95), *(p.p99 for p in parts)])
-    rows.append(["time-outs at the deadline, mean", "ms", delay.censored_mean, None, "", *_each(parts, "censored_mean")])
-    rows.append(["probes lost", "%", delay.loss_percent, None, interval(delay.loss_ci95), *_each(parts, "loss_percent")])
+    rows.append(
+        ["time-outs at the deadline, mean", "ms", delay.censored_mean, None, "", *_each(parts, "censored_mean")]
+    )
+    rows.append(
+        ["probes lost", "%", delay.loss_percent, None, interval(delay.loss_ci95), *_each(parts, "loss_percent")]
+    )
     if delay.loss_forward_percent is not None:
         rows.append(["  lost on the way there", "%", delay.loss_forward_percent, None, "", None, None])
         rows.append(["  lost on the way back", "%", delay.loss_back_percent, None, "", None, None])
@@ -93,7 +97,11 @@ def _interface_rows(
     table.rows.append([f"{where}: RSSI", "dBm", rssi.mean, rssi.std, interval(rssi.mean_ci95), *signal])
     again = [o.retransmits if o else None for o in others]
     table.rows.append([f"{where}: TCP retransmits (whole machine)", "", figures.retransmits, None, "", *again])
-    for reason in (thr.reason if thr.mean is None else None, rssi.reason if rssi.mean is None else None, figures.reason):
+    for reason in (
+        thr.reason if thr.mean is None else None,
+        rssi.reason if rssi.mean is None else None,
+        figures.reason,
+    ):
         if reason:
             table.notes.append(f"{where}: {reason}")
 
@@ -110,18 +118,17 @@ def interval(pair: tuple[float, float] | None, decimals: int = 2) -> str:
 def table_two(summaries: Sequence[RunSummary]) -> Table:
     """The paper's Table II: throughput, delay, loss, RSSI of both ends, retransmits; one row a run."""
     paper = all(s.method == "pandey2022" for s in summaries)
-    cut = {"truncate": paper}
     columns = (
         Column("case"),
-        Column("throughput mean (Mbit/s)", better="high", **cut),
-        Column("std", **cut),
-        Column("delay mean (ms)", better="low", **cut),
-        Column("std ", **cut),
-        Column("loss (%)", better="low", **cut),
-        Column("RSSI robot (dBm)", better="high", **cut),
-        Column("std  ", **cut),
-        Column("RSSI station (dBm)", better="high", **cut),
-        Column("std   ", **cut),
+        Column("throughput mean (Mbit/s)", better="high", truncate=paper),
+        Column("std", truncate=paper),
+        Column("delay mean (ms)", better="low", truncate=paper),
+        Column("std ", truncate=paper),
+        Column("loss (%)", better="low", truncate=paper),
+        Column("RSSI robot (dBm)", better="high", truncate=paper),
+        Column("std  ", truncate=paper),
+        Column("RSSI station (dBm)", better="high", truncate=paper),
+        Column("std   ", truncate=paper),
         Column("retransmits", 0, better="low"),
     )
     table = Table("Table II: the whole drive", columns, name="table2")
@@ -162,13 +169,12 @@ def table_two(summaries: Sequence[RunSummary]) -> Table:
 def table_three(summaries: Sequence[RunSummary]) -> Table:
     """The paper's Table III: throughput and delay while the robot stood still; one row a run."""
     paper = all(s.method == "pandey2022" for s in summaries)
-    cut = {"truncate": paper}
     columns = (
         Column("case"),
-        Column("throughput still (Mbit/s)", better="high", **cut),
-        Column("std", **cut),
-        Column("delay still (ms)", better="low", **cut),
-        Column("std ", **cut),
+        Column("throughput still (Mbit/s)", better="high", truncate=paper),
+        Column("std", truncate=paper),
+        Column("delay still (ms)", better="low", truncate=paper),
+        Column("std ", truncate=paper),
         Column("share of time still (%)"),
     )
     table = Table("Table III: standing still", columns, name="table3")

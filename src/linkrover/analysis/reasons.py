@@ -1,0 +1,65 @@
+"""No `null` without a word on why: fills the `reason` of every group of figures."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import msgspec
+
+S = TypeVar("S", bound=msgspec.Struct)
+
+# Why a field may be unknown although its group is known.
+_WHY = {
+    "mean_ci95": "too few samples",
+    "median_ci95": "too few independent samples",
+    "p95_ci95": "too few independent samples",
+    "p99_ci95": "too few independent samples",
+    "loss_ci95": "too few independent samples",
+    "loss_forward_percent": "the probe does not tell directions",
+    "loss_back_percent": "the probe does not tell directions",
+    "forward": "no one-way delay without a clock offset",
+    "back": "no one-way delay without a clock offset",
+    "duplicates": "this probe does not count them",
+    "reordered": "this probe does not count them",
+    "mac_retries": "not recorded for this interface",
+    "link_quality": "given by the paper's method only",
+    "static_no_lead": "given by the paper's method only",
+    "outage_threshold_s": "the paper's method has none",
+    "std": "fewer than two samples",
+    "offset_ms": "not measured",
+    "error_bound_ms": "not measured",
+    "jitter": "given for the whole run only",
+    "ipdv_p95": "given for the whole run only",
+    "pdv_p95": "given for the whole run only",
+    "pdv_p99": "given for the whole run only",
+    "x_m": "no odometry",
+    "y_m": "no odometry",
+    "distance_m": "no odometry",
+    "rssi_dbm": "no reading",
+}
+
+
+def with_reasons(figures: S) -> S:
+    """The same figures, every group with unknown members saying why in its `reason`."""
+    changes: dict[str, object] = {}
+    for field in msgspec.structs.fields(figures):
+        value = getattr(figures, field.name)
+        if isinstance(value, msgspec.Struct):
+            changes[field.name] = with_reasons(value)
+        elif isinstance(value, dict) and any(isinstance(v, msgspec.Struct) for v in value.values()):
+            changes[field.name] = {k: with_reasons(v) if isinstance(v, msgspec.Struct) else v for k, v in value.items()}
+        elif isinstance(value, list) and value and isinstance(value[0], msgspec.Struct):
+            changes[field.name] = [with_reasons(v) for v in value]
+    names = {field.name for field in msgspec.structs.fields(figures)}
+    if "reason" in names:
+        reason = getattr(figures, "reason") or ""  # noqa: B009 - only some structs have the field
+        unknown = [n for n in sorted(names - {"reason"}) if getattr(figures, n) is None]
+        if reason and len(unknown) > len(names) / 2:
+            unknown = []  # the reason given is that of the whole group
+        by_why: dict[str, list[str]] = {}
+        for name in unknown:
+            if name not in reason:
+                by_why.setdefault(_WHY.get(name, "not in this recording"), []).append(name)
+        parts = [reason, *(f"{', '.join(found)}: {why}" for why, found in by_why.items())]
+        changes["reason"] = "; ".join(p for p in parts if p) or None
+    return msgspec.structs.replace(figures, **changes) if changes else figures

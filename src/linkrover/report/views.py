@@ -1,0 +1,133 @@
+"""From a run and its figures to what the HTML report draws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path as FilePath
+
+import msgspec
+import numpy as np
+
+from linkrover.analysis.delay import Probes, application_probes, find_probes
+from linkrover.analysis.link import signal_steps
+from linkrover.analysis.run import End, Run
+from linkrover.analysis.summary import RunSummary
+
+from .page import Table as PageTable
+from .table import Table
+from .view import EventView, Line, OutageView, Path, RunView
+
+
+def view_of(run: Run, summary: RunSummary) -> RunView:
+    """Everything the page shows of one run."""
+    lines: list[Line] = []
+    for role, end in run.ends.items():
+        lines += _signal(run, role, end) + _throughput(role, end)
+    probes = find_probes(run)
+    lines += _delays(run, probes)
+    setup = {
+        role: {k: str(v) for k, v in msgspec.to_builtins(found).items() if v not in (None, False, {}, "")}
+        for role, found in summary.setup.items()
+    }
+    return RunView(
+        name=run.name,
+        case=run.case or "",
+        trial=run.trial,
+        duration_s=summary.duration_s,
+        summary=msgspec.to_builtins(summary),
+        lines=tuple(lines),
+        lost_t_s=probes.sent_s[np.isnan(probes.delay_ms)] if probes is not None else np.empty(0),
+        path=_path(run),
+        outages=tuple(OutageView(o.start_s, o.end_s) for o in summary.outages),
+        events=_events(run),
+        setup=setup,
+        problems=summary.problems,
+        repairs=summary.repairs,
+        kind=_kind(run),
+    )
+
+
+def write_html(runs: Sequence[Run], summaries: Sequence[RunSummary], out: FilePath, needs: Sequence[str] = ()) -> None:
+    """One HTML file without network access for these runs, with the comparison where there are several."""
+    from .document import comparison_sections
+    from .html import write_page
+
+    views = [view_of(run, summary) for run, summary in zip(runs, summaries, strict=True)]
+    sections = comparison_sections(summaries, runs, needs)
+    write_page(
+        views,
+        out,
+        comparison=[sentence for section in sections for sentence in section.words],
+        tables=[page_table(table) for section in sections for table in section.tables],
+    )
+
+
+def page_table(table: Table) -> PageTable:
+    """A table for the page."""
+    numeric = {j for row in table.rows for j, value in enumerate(row) if isinstance(value, (int, float))}
+    return PageTable(
+        name=table.name,
+        caption=" ".join([table.title, *table.notes]),
+        head=tuple(column.heading for column in table.columns),
+        rows=tuple(tuple(table.text(i, j) for j in range(len(table.columns))) for i in range(len(table.rows))),
+        best=frozenset(table.best()),
+        text_columns=frozenset(set(range(len(table.columns))) - numeric),
+    )
+
+
+def _path(run: Run) -> Path | None:
+    pose = run.pose
+    if pose is None or len(pose["t_s"]) < 2:
+        return None
+    return Path(pose["t_s"], pose["x_m"], pose["y_m"])
+
+
+def _signal(run: Run, role: str, end: End) -> list[Line]:
+    found = []
+    for iface, table in end.wireless.items():
+        _, _, valid, _ = signal_steps(table, run.published_2021)
+        rssi = np.where(valid, table["rssi_dbm"], np.nan)
+        found.append(Line("rssi", f"RSSI at the {role} ({iface})", role, table["t_s"], rssi, iface=iface))
+    return found
+
+
+def _throughput(role: str, end: End) -> list[Line]:
+    found = []
+    for iface, table in end.utilization.items():
+        length = np.maximum(table["t_s"] - table["begin_s"], 1e-9)
+        for direction, word in (("tx", "sent"), ("rx", "received")):
+            rate = np.where(table["has_base"], table[f"{direction}_bits"] / length / 1e6, np.nan)
+            name = f"{word} by the {role} ({iface})"
+            found.append(Line("throughput", name, role, table["t_s"], rate, iface=iface, direction=direction))
+    return found
+
+
+def _delays(run: Run, probes: Probes | None) -> list[Line]:
+    found = []
+    if probes is not None:
+        name = {"stamp": "round trip (probe)"}.get(probes.source, f"round trip ({probes.source})")
+        found.append(Line("delay", name, "robot", probes.sent_s, probes.delay_ms, method=probes.source))
+    for role, end in run.ends.items():
+        for method in end.delays:
+            if probes is None or method == probes.source:
+                continue
+            other = application_probes(end, method, run.published_2021)
+            found.append(Line("delay", f"round trip ({method})", role, other.sent_s, other.delay_ms, method=method))
+    return found
+
+
+def _events(run: Run) -> tuple[EventView, ...]:
+    found = [
+        EventView(t, role, event.kind.value, event.detail or event.kind.value)
+        for role, end in run.ends.items()
+        for t, event in end.events
+    ]
+    return tuple(sorted(found, key=lambda e: e.t_s))
+
+
+def _kind(run: Run) -> str:
+    manifests = [end.manifest for end in run.ends.values() if end.manifest is not None]
+    for word, flag in (("simulated", "simulated"), ("emulated", "emulated"), ("imported", "imported_from")):
+        if any(getattr(m, flag) for m in manifests):
+            return word
+    return "measured"
