@@ -38,9 +38,9 @@ def split_host_port(text: str, default_port: int = DEFAULT_PORT) -> tuple[str, i
     """
     host, port_text = text.strip(), ""
     if host.startswith("["):
-        host, _, rest = host[1:].partition("]")
+        host, closed, rest = host[1:].partition("]")
         port_text = rest.removeprefix(":")
-        if rest and not rest.startswith(":"):
+        if not closed or (rest and not port_text) or (rest and not rest.startswith(":")):
             raise ConfigError(f"peer '{text}': expected [ADDRESS]:PORT")
     elif host.count(":") == 1:
         host, _, port_text = host.partition(":")

@@ -31,6 +31,7 @@ _TLV_UNRECOGNISED = 0x80
 _TLV_MALFORMED = 0x40
 _TLV_EXTRA_PADDING = 1
 
+_ZEROS = bytes(BASE_BYTES - 16)
 _SENDER = struct.Struct(">IQHH28x")
 _SENDER_READ = struct.Struct(">IQHH")
 _REFLECTOR_READ = struct.Struct(">IQHHQIQHxxB")
@@ -152,6 +153,8 @@ def decode_sender(data: bytes, *, key: bytes | None = None) -> SenderPacket:
     if key is None:
         _need(data, TWAMP_LIGHT_BYTES, "a STAMP or TWAMP-Light test packet")
         sequence, time_raw, error, ssid = _SENDER_READ.unpack_from(data)
+        if data[16:BASE_BYTES] != _ZEROS:
+            ssid = 0  # a TWAMP-Light sender's padding, which may be random, stands here
     else:
         _need(data, AUTHENTICATED_BYTES, "an authenticated STAMP test packet")
         _check(data, key)
@@ -167,18 +170,17 @@ def answer(
     send_ns: int,
     error_estimate: int,
     ttl: int,
+    ssid: int = 0,
     key: bytes | None = None,
 ) -> bytes:
     """The reflector's packet for a request that decode_sender() accepted: never longer than the request.
 
-    The sender's sequence, timestamp, error estimate and SSID go back octet by octet, whatever their format.
+    The sender's sequence, timestamp and error estimate go back octet by octet, whatever their format.
     """
     if key is None:
         base = b"".join(
             (
-                struct.pack(">IQH", sequence & 0xFFFFFFFF, to_ntp(send_ns), error_estimate),
-                request[14:16],
-                struct.pack(">Q", to_ntp(receive_ns)),
+                struct.pack(">IQHHQ", sequence & 0xFFFFFFFF, to_ntp(send_ns), error_estimate, ssid, to_ntp(receive_ns)),
                 request[0:14],
                 struct.pack(">xxB3x", ttl),
             )
@@ -188,9 +190,9 @@ def answer(
         return base + _reflect_tlvs(request[BASE_BYTES:])
     base = b"".join(
         (
-            struct.pack(">I12xQH", sequence & 0xFFFFFFFF, to_ntp(send_ns), error_estimate),
-            request[26:28],
-            struct.pack(">4xQ8x", to_ntp(receive_ns)),
+            struct.pack(
+                ">I12xQHH4xQ8x", sequence & 0xFFFFFFFF, to_ntp(send_ns), error_estimate, ssid, to_ntp(receive_ns)
+            ),
             request[0:4],
             bytes(12),
             request[16:26],

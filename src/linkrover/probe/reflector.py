@@ -206,6 +206,7 @@ class StampReflector:
             send_ns=max(receive_ns, time.time_ns()),
             error_estimate=self._error_bits,
             ttl=ttl,
+            ssid=request.ssid,
             key=self._key,
         )
         try:
