@@ -31,7 +31,8 @@ class ChannelConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     sigma_db, decorrelation_m: log-normal shadowing with correlation exp(-d / decorrelation_m) in space.
     nakagami_m: multipath, None = none. direction_correlation: of the shadowing seen by the two directions (0.99 in
     the 2021 data). scene_hz: how fast the surroundings change while the robot stands. offset_db: added to every
-    RSSI that the access point receives (its antenna or the station's power differs).
+    RSSI that the access point receives (its antenna or the station's power differs). site: seed of the shadowing, so
+    that every trial in one building meets the same shadows; None = the trial's own.
     """
 
     path_loss: AnyPathLoss = LogDistance(rss_1m_dbm=-40.0, exponent=2.5)
@@ -42,6 +43,7 @@ class ChannelConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     direction_correlation: float = 0.99
     scene_hz: float = 0.2
     offset_db: float = 0.0
+    site: int | None = None
     plan: FloorPlan = FloorPlan()
 
     def __post_init__(self) -> None:
@@ -64,9 +66,13 @@ class Signal(NamedTuple):
 
 
 class _Pair:
-    def __init__(self, config: ChannelConfig, seed: int) -> None:
-        self.shadow = ShadowField(config.sigma_db, config.decorrelation_m, seed)
-        self.differs = ShadowField(config.sigma_db, config.decorrelation_m, seed + 1, terms=48)
+    def __init__(self, config: ChannelConfig, seed: int, name: str) -> None:
+        # crc32 and not hash(): the same seed gives the same field in every process
+        pair = zlib.crc32(name.encode())
+        place = (seed if config.site is None else config.site) * 1_000_003 + pair
+        seed = seed * 1_000_003 + pair
+        self.shadow = ShadowField(config.sigma_db, config.decorrelation_m, place)
+        self.differs = ShadowField(config.sigma_db, config.decorrelation_m, place + 1, terms=48)
         self.multipath = (
             None
             if config.nakagami_m is None
@@ -92,8 +98,7 @@ class Channel:
         config = self.config
         pair = self._pairs.get((a, b))
         if pair is None:
-            # crc32 and not hash(): the same seed gives the same field in every process
-            pair = self._pairs[a, b] = _Pair(config, self._seed * 1_000_003 + zlib.crc32(f"{a}|{b}".encode()))
+            pair = self._pairs[a, b] = _Pair(config, self._seed, f"{a}|{b}")
         ax, ay = a_xy
         bx, by = b_xy
         distance = math.hypot(ax - bx, ay - by)

@@ -158,6 +158,10 @@ class Medium:
         hop.distance_m = distance_m
         hop.walls = walls
 
+    def limit(self, node: str, bus_bps: float | None) -> None:
+        """What the node can send from now on, as NodeConfig.bus_bps (a replayed drive's throughput)."""
+        self._senders[node].bus_bps = bus_bps
+
     def hop(self, sender: str, receiver: str) -> Hop:
         """The directed hop, with its counters.
 
@@ -545,6 +549,7 @@ class Medium:
         if self._on_air:
             self._defer_ns += airtime_ns
         else:
+            self._catch_up(now_ns)
             begin_ns = max(now_ns, self._free_ns)
             self._count_down(begin_ns, None)
             self._free_ns = begin_ns + airtime_ns
