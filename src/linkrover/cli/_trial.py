@@ -7,7 +7,10 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from linkrover.errors import LinkRoverError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -62,12 +65,19 @@ def progress(console: Console) -> Iterator[Callable[[View], None]]:
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    columns = (TextColumn("{task.percentage:3.0f} %"), BarColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
+    columns = (
+        TextColumn("{task.percentage:3.0f} %"),
+        BarColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.description}"),
+    )
     with Progress(*columns, console=console, transient=True, refresh_per_second=5) as bar:
         task = bar.add_task("starting", total=1.0)
 
         def show(view: View) -> None:
-            bar.update(task, total=view.total_s, completed=min(view.elapsed_s, view.total_s), description=describe(view))
+            bar.update(
+                task, total=view.total_s, completed=min(view.elapsed_s, view.total_s), description=describe(view)
+            )
 
         yield show
 
@@ -104,3 +114,21 @@ def print_agreement(console: Console, agreement: Agreement) -> None:
             f"{agreement.release_error_max_ms:.1f} ms (worst) after the model's time"
             + (f"; it was behind in {agreement.behind:.1%} of the time." if agreement.behind else ".")
         )
+
+
+def write_report(console: Console, run: Path) -> tuple[Path | None, str | None]:
+    """Table on the console and `run`/report.html. Returns its path, or None and why there is none."""
+    try:
+        with console.status("joining the recordings and drawing the report") if console.is_terminal else _quiet():
+            from linkrover.cli.report import report
+
+            page = run / "report.html"
+            report(run, format="html", out=page)
+    except LinkRoverError as error:
+        return None, f"No HTML report: {error}"
+    return page, None
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    yield

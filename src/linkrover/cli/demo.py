@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
 
 from linkrover.errors import ConfigError
 
 from ._trial import interruptible, print_agreement, progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from linkrover.experiment.trial import Outcome
 
 SHORTEST_S = 3.0
 
@@ -46,7 +53,7 @@ def demo(
 
     console = Console(stderr=json, highlight=False)
     if clean:
-        return _clean(console)
+        return _clean()
     if not duration >= SHORTEST_S:
         raise ConfigError(f"--duration {duration:g}: must be at least {SHORTEST_S:g} s, to hold a few samples")
     from linkrover.emulator import presets
@@ -76,7 +83,35 @@ def demo(
     return _finish(console, out, outcome, json)
 
 
-def _clean(console: object) -> int:
+def _finish(console: Console, out: Path, outcome: Outcome, as_json: bool) -> int:
+    """Join, report, say what was measured and whether it is true. Returns the exit status."""
+    from ._trial import write_report
+
+    page, problem = write_report(console, out)
+    agreement = outcome.agreement
+    if as_json:
+        found = {
+            "run": str(out),
+            "report": None if page is None else str(page),
+            "agrees": None if agreement is None else agreement.agrees,
+            "outcome": msgspec.to_builtins(outcome),
+        }
+        print(msgspec.json.format(msgspec.json.encode(found)).decode())
+    elif agreement is not None:
+        print_agreement(console, agreement)
+    if problem is not None:
+        console.print(problem, soft_wrap=True)
+    if not as_json:
+        console.print(f"Recordings: {out} (look inside with `linkrover info {out}`)", soft_wrap=True)
+        if page is not None:
+            console.print(f"Report: {page}", soft_wrap=True)
+    if outcome.interrupted:
+        console.print(f"Interrupted after {outcome.seconds:.0f} s of driving; the recordings until then are whole.")
+        return 130
+    return 0 if agreement is None or agreement.agrees else 1
+
+
+def _clean() -> int:
     from linkrover.emulator.leftovers import clean, find_leftovers
 
     found = find_leftovers()

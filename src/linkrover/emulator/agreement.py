@@ -27,9 +27,9 @@ THROUGHPUT_LIMIT = 0.01
 LOSS_LIMIT_POINTS = 0.5
 DELAY_LIMIT_MS = 0.5
 RSSI_LIMIT = 0.0
-QUIET_BPS = 20_000.0
-"""Below this a direction carries next to nothing, and 1 % of it is less than one packet: compared to this instead."""
-EDGE_NS = 30_000_000
+QUIET_BPS = 250_000.0
+"""A direction that carries less (acknowledgements, commands) is compared with 1 % of this: a packet or two more."""
+EDGE_NS = 10_000_000
 """A sample this near to a change of the driver's text may have seen either."""
 LOST = (ProbeState.LOST, ProbeState.LOST_FORWARD, ProbeState.LOST_BACK, ProbeState.LATE)
 
@@ -121,7 +121,9 @@ def compare(ends: dict[str, Sequence[Record]], truth: Iterable[Record], deadline
     for end, records in ends.items():
         figures += [_throughput(end, direction, records, known) for direction in ("tx", "rx")]
     for end, records in ends.items():
-        probes = [r for r in records if isinstance(r, ProbeResult) and r.state is not ProbeState.NOT_SENT]
+        # a later record of the same probe supersedes the earlier
+        last = {(r.peer, r.session, r.sequence): r for r in records if isinstance(r, ProbeResult)}
+        probes = [probe for probe in last.values() if probe.state is not ProbeState.NOT_SENT]
         if probes:
             figures += _probes(end, probes, known, deadline_ns)
     figures += [_rssi(end, records, known) for end, records in ends.items()]

@@ -10,6 +10,7 @@ import gc
 import os
 import select
 import time
+from collections import deque
 from collections.abc import Callable
 from statistics import median_low
 from typing import NamedTuple, Protocol
@@ -18,7 +19,9 @@ from linkrover.emulator.medium import EVERYONE, Fate, Medium
 from linkrover.emulator.stamp_truth import UDP, probe_truth
 from linkrover.records import Now, Record
 
-BATCH = 32
+CHUNK = 16
+"""Packets handed to the medium before the devices are looked at again (about 0.2 ms)."""
+DRAIN_MOST = 2000
 READ_OCTETS = 2048
 BEHIND_NS = 10_000_000
 """A release later than this makes the interval "behind": the link was then slower than the model says."""
@@ -57,7 +60,7 @@ class Relay:
     """See the module's text. `take` gets truth records (LinkTruth a tick and hop, ProbeTruth a STAMP packet)."""
 
     def __init__(
-        self, medium: Medium, ports: list[Port], link: Link, take: Callable[[Record], None], tick_ns: int = 50_000_000
+        self, medium: Medium, ports: list[Port], link: Link, take: Callable[[Record], None], tick_ns: int = 20_000_000
     ) -> None:
         self.medium = medium
         self.ports = {port.name: port for port in ports}
@@ -71,6 +74,7 @@ class Relay:
         self.forwarded = 0
         self._errors_ns: list[int] = []
         self._readers: dict[int, Callable[[], None]] = {}
+        self._backlog: deque[Packet] = deque()
         self._stopped = False
 
     def reader(self, fd: int, callback: Callable[[], None]) -> None:
@@ -97,39 +101,48 @@ class Relay:
                 wall_minus_mono = time.time_ns() - mono()
                 self._tick(Now(now_ns + wall_minus_mono, now_ns))
                 next_tick += self.tick_ns * max(1, (now_ns - next_tick) // self.tick_ns)
+            backlog = self._backlog
+            for _ in range(min(len(backlog), CHUNK)):
+                self._offer(backlog.popleft())
             fates = medium.advance(mono())
             if fates:
                 self._release(fates)
-            due = medium.next_event_ns()
-            wake = next_tick if due is None else min(due, next_tick)
-            ready = select.select(fds, (), (), max(0, wake - mono()) / 1e9)[0]
-            for fd in ready:
+            if backlog:
+                wait_s = 0.0
+            else:
+                due = medium.next_event_ns()
+                wait_s = max(0, (next_tick if due is None else min(due, next_tick)) - mono()) / 1e9
+            for fd in select.select(fds, (), (), wait_s)[0]:
                 sender = self._by_fd.get(fd)
                 if sender is None:
                     self._readers[fd]()
                 else:
-                    self._read(fd, sender, wall_minus_mono)
+                    self._drain(fd, sender, wall_minus_mono)
 
-    def _read(self, fd: int, sender: str, wall_minus_mono: int) -> None:
-        medium, mono, read = self.medium, time.monotonic_ns, os.read
-        for _ in range(BATCH):
+    def _drain(self, fd: int, sender: str, wall_minus_mono: int) -> None:
+        """Read all there is, and note when: what a packet waits for us afterwards belongs to its true delay."""
+        mono, read, append = time.monotonic_ns, os.read, self._backlog.append
+        for _ in range(DRAIN_MOST):
             try:
                 data = read(fd, READ_OCTETS)
             except BlockingIOError:
                 return
             now_ns = mono()
-            # IPv4 only: the receiver is found by its address; 224/4 and broadcasts go to everyone
-            receiver = self._by_address.get(data[16:20])
-            if receiver is None:
-                if data[0] >> 4 != 4 or not (data[16] >= 224 or data[19] == 255):
-                    self.unroutable += 1
-                    continue
-                receiver = EVERYONE
-            packet = Packet(data, sender, now_ns + wall_minus_mono, now_ns)
-            flow = int.from_bytes(data[20:24], "big") ^ data[9]
-            cause = medium.offer(now_ns, sender, receiver, len(data), packet, flow)
-            if cause is not None and data[9] == UDP:
-                self._probe(packet, None, cause)
+            append(Packet(data, sender, now_ns + wall_minus_mono, now_ns))
+
+    def _offer(self, packet: Packet) -> None:
+        # IPv4 only: the receiver is found by its address; 224/4 and broadcasts go to everyone
+        data = packet.data
+        receiver = self._by_address.get(data[16:20])
+        if receiver is None:
+            if data[0] >> 4 != 4 or not (data[16] >= 224 or data[19] == 255):
+                self.unroutable += 1
+                return
+            receiver = EVERYONE
+        flow = int.from_bytes(data[20:24], "big") ^ data[9]
+        cause = self.medium.offer(packet.mono_ns, packet.sender, receiver, len(data), packet, flow)
+        if cause is not None and data[9] == UDP:
+            self._probe(packet, None, cause)
 
     def _release(self, fates: list[Fate]) -> None:
         ports, errors, mono, write = self.ports, self._errors_ns, time.monotonic_ns, os.write

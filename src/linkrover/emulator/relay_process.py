@@ -18,10 +18,11 @@ from pathlib import Path
 
 import msgspec
 
-from linkrover.emulator import presets
 from linkrover.emulator.driver import DriverFile
 from linkrover.emulator.medium import Medium
-from linkrover.emulator.relay import Port, Relay
+from linkrover.emulator.presets import Case
+from linkrover.emulator.relay import Link, Port, Relay
+from linkrover.emulator.replay import ReplayLink, Timeline
 from linkrover.emulator.traffic import POSE
 from linkrover.records import LinkTruth, Now, Pose, ProbeTruth, Record
 
@@ -42,15 +43,15 @@ class RelaySettings(msgspec.Struct, frozen=True, kw_only=True):
     """What the process is told. driver_paths: by end, the emulated /proc/net/wireless. tick_hz: radio and truth."""
 
     hosts: tuple[HostSettings, ...]
-    case: str
+    case: Case
     seed: int
     pose_path: str
     driver_paths: dict[str, str]
     truth_fd: int
     iface: str = "wlan0"
-    tick_hz: float = 20.0
+    tick_hz: float = 50.0
     access_point_shows_signal: bool = True
-    replay: str | None = None
+    replay: Timeline | None = None
 
 
 class TruthPipe:
@@ -100,7 +101,7 @@ class DriverFaces:
 class ChannelLink:
     """The case's channel over the true places of the nodes."""
 
-    def __init__(self, case: presets.Case, seed: int, faces: DriverFaces) -> None:
+    def __init__(self, case: Case, seed: int, faces: DriverFaces) -> None:
         self._channel = case.make_channel(seed)
         self._faces = faces
         self.places: dict[str, tuple[float, float]] = {"robot": (0.0, 0.0), **case.places}
@@ -122,7 +123,7 @@ def _pose_socket(path: str) -> socket.socket:
 def main() -> None:
     """Entry point; runs until SIGTERM."""
     settings = msgspec.json.decode(Path(sys.argv[1]).read_bytes(), type=RelaySettings)
-    case = presets.find(settings.case)
+    case = settings.case
     medium = case.make_medium(settings.seed, start_ns=time.monotonic_ns())
     truth = TruthPipe(settings.truth_fd)
     faces = DriverFaces(settings, medium)
@@ -130,15 +131,17 @@ def main() -> None:
     # the kernel may wake us up to 50 us late by default
     ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1000)
     try:
-        os.setpriority(os.PRIO_PROCESS, 0, -15)
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
     except PermissionError:
-        print("running at ordinary priority: on a busy machine packets leave late, as the truth will say")
+        print("running at ordinary priority: on a busy machine packets leave late, as the truth will say", flush=True)
 
+    link: Link
+    places: dict[str, tuple[float, float]] = {}
     if settings.replay is None:
         link = channel = ChannelLink(case, settings.seed, faces)
         places = channel.places
     else:
-        raise NotImplementedError
+        link = ReplayLink(settings.replay, faces)
 
     ports = [Port(host.name, host.address, host.tun_fd) for host in settings.hosts]
     relay = Relay(medium, ports, link, truth.take, int(1e9 / settings.tick_hz))

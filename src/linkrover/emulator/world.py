@@ -21,6 +21,7 @@ from linkrover.emulator.leftovers import RunFolder
 from linkrover.emulator.netns import Host, in_namespace, make_host
 from linkrover.emulator.presets import Case
 from linkrover.emulator.relay_process import HostSettings, RelaySettings, TruthRecord
+from linkrover.emulator.replay import Timeline
 from linkrover.emulator.robot import Drive, Route
 from linkrover.emulator.traffic import Settings as TrafficSettings
 from linkrover.emulator.traffic import Traffic
@@ -55,7 +56,7 @@ class WorldSettings(msgspec.Struct, frozen=True, kw_only=True):
     traffic: Traffic = Traffic()
     trial: int | None = None
     run: str | None = None
-    replay: str | None = None
+    replay: Timeline | None = None
     access_point_shows_signal: bool = True
     rates: dict[str, float] = {}
     probe: dict[str, Any] = {}
@@ -135,7 +136,7 @@ class World:
         settings = self.settings
         relay = RelaySettings(
             hosts=tuple(HostSettings(h.name, h.address, h.tun_fd) for h in self._hosts.values()),
-            case=settings.case.name,
+            case=settings.case,
             seed=settings.seed,
             pose_path=self.path("pose"),
             driver_paths={end: self.path(f"{end}.wireless") for end in ADDRESSES},
