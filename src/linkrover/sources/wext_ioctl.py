@@ -123,7 +123,8 @@ class WirelessIoctls:
         power = self._small(SIOCGIWTXPOW, name)
         rate = self._small(SIOCGIWRATE, name)
         saving = self._small(SIOCGIWPOWER, name)
-        ssid = self._pointed(SIOCGIWESSID, name, _SSID_MAX + 1)
+        # one octet more would make the kernel count a final NUL, as for tools of before 2007 (wext-core.c)
+        ssid = self._pointed(SIOCGIWESSID, name, _SSID_MAX)
         limits = self._pointed(SIOCGIWRANGE, name, 1024)
         return WirelessSettings(
             mode=None if mode is None else _MODES.get(struct.unpack_from("I", mode)[0]),
