@@ -11,7 +11,9 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from linkrover.sources.nl80211 import Nl80211
+from linkrover.records import EventKind, LinkEvent
+from linkrover.sources.nl80211 import Nl80211, RadioSample
+from linkrover.sources.nl80211_events import RadioEvents
 
 MODULE = Path("/guest-modules/mac80211_hwsim.ko")
 DEBUG = Path("/sys/kernel/debug/ieee80211")
@@ -75,7 +77,7 @@ class Radio:
 
     def level(self, dbm: int) -> None:
         """Peers hear this radio at `dbm`, whatever its tx power is set to (it is 0 dBm by rx_rssi alone)."""
-        (DEBUG / self.phy / "hwsim" / "rx_rssi").write_text(str((dbm - self.tx_power_dbm()) % 2**32))
+        (DEBUG / self.phy / "hwsim" / "rx_rssi").write_text(str((dbm - self.tx_power_dbm()) % 2**64))
 
     def tx_power_dbm(self) -> int:
         """What the driver sends with, dBm."""
@@ -227,7 +229,59 @@ def datagrams(ns: str, address: str, count: int, size: int = 200) -> None:
                 sender.sendto(bytes(size), (address, 9))
 
 
-def reader(ns: str, **options: int) -> Nl80211:
-    """A reader whose socket lives in `ns`; call it inside(ns), because names are looked up where the caller is."""
-    with inside(ns):
-        return Nl80211(**options)
+class Eye:
+    """A reader that lives in a namespace."""
+
+    def __init__(self, radio: Radio, **options: int) -> None:
+        self.radio = radio
+        with inside(radio.ns):
+            self.nl = Nl80211(**options)
+
+    def read(self) -> RadioSample:
+        """One sample with everything, also what seldom changes."""
+        with inside(self.radio.ns):
+            self.nl.refresh()
+            return self.nl.read(self.radio.iface)
+
+    def quick(self) -> RadioSample:
+        """One sample as the agent takes it."""
+        with inside(self.radio.ns):
+            return self.nl.read(self.radio.iface)
+
+    def close(self) -> None:
+        """Give back the socket."""
+        self.nl.close()
+
+
+class Ear:
+    """A listener that lives in a namespace; keeps all events it heard."""
+
+    def __init__(self, radio: Radio) -> None:
+        self.radio = radio
+        self.heard: list[LinkEvent] = []
+        with inside(radio.ns):
+            self.events = RadioEvents(radio.iface)
+
+    def listen(self) -> list[LinkEvent]:
+        """Everything heard so far."""
+        with inside(self.radio.ns):
+            self.heard += self.events.events()
+        return self.heard
+
+    def wait(self, kind: EventKind, timeout_s: float = 30.0) -> LinkEvent:
+        """The first event of a kind that was not asked for yet; it and all before it are taken off."""
+
+        def first() -> LinkEvent | None:
+            return next((event for event in self.listen() if event.kind is kind), None)
+
+        try:
+            found = wait_for(f"event {kind.value}", first, timeout_s)
+        except AssertionError as reason:
+            raise AssertionError(f"{reason}; heard: {[(e.kind.value, e.detail) for e in self.heard]}") from None
+        assert isinstance(found, LinkEvent)
+        del self.heard[: self.heard.index(found) + 1]
+        return found
+
+    def close(self) -> None:
+        """Give back the sockets."""
+        self.events.close()
