@@ -26,7 +26,7 @@ class Measuring:
     """Network device, or ALIAS=NAME for another name in topics; repeatable. [default: ~INTERFACE_NAME, else wlan0]"""
 
     record: Path | None = None
-    """Directory of the run: this end's recording, complete whatever the network does, goes to DIR/robot or DIR/station."""
+    """Directory of the run; this end goes to DIR/robot or DIR/station, complete whatever the network does."""
 
     prefix: str | None = None
     """Of topics; '' gives network_analysis/link_utilization as in 2021. [default: {end}/{iface}]"""
@@ -173,9 +173,13 @@ def traffic(
         One line of JSON for each connection and reading.
     """
     _need_rospy()
-    from linkrover.ros1.show import show_traffic
+    from linkrover.ros1.show import KernelConnections, show_traffic
 
-    return show_traffic(interval_s=interval, count=count, only_local=local, json=json)
+    if interval <= 0:
+        print("linkrover ros1 traffic: --interval must be positive", file=sys.stderr)
+        return 2
+    with KernelConnections() as kernel:
+        return show_traffic(interval_s=interval, count=count, only_local=local, json=json, connections=kernel.read)
 
 
 @app.command

@@ -24,7 +24,14 @@ from .rpc import RpcError
 log = logging.getLogger("linkrover.ros1")
 
 DEFAULT_REFLECTOR_PORT = 8620
-_NOTHING = {"wireless_hz": 0.0, "utilization_hz": 0.0, "errors_hz": 0.0, "delay_hz": 0.0, "traffic_s": 0.0}
+_NOTHING = {
+    "wireless_hz": 0.0,
+    "utilization_hz": 0.0,
+    "errors_hz": 0.0,
+    "delay_hz": 0.0,
+    "traffic_s": 0.0,
+    "tcp_hz": 0.0,
+}
 _2021: dict[str, Any] = {"prefix": ""}
 NODES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     # node: (fixed options, defaults)

@@ -45,6 +45,7 @@ class Ros1Options(msgspec.Struct, frozen=True, kw_only=True):
     frame: str | None = None
     base_frame: str = "base_link"
     traffic_s: float | None = None
+    tcp_hz: float = 1.0
     record: str | None = None
     duration_s: float | None = None
     wireless_path: str | None = None
@@ -189,6 +190,7 @@ def agent_config(options: Ros1Options) -> AgentConfig:
             wireless_hz=options.wireless_hz or 0.0,
             utilization_hz=options.utilization_hz or 0.0,
             errors_hz=options.errors_hz or 0.0,
+            tcp_hz=options.tcp_hz,
         ),
         probe=Probe(deadline_s=options.timeout_s or 2.0, key_file=options.key_file),
     )

@@ -7,7 +7,7 @@ import logging
 import threading
 import time
 import urllib.parse
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from linkrover.agent import Agent
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 POSE_HZ = 20.0
 """Poses recorded a second at most; odometry often comes faster than a link changes."""
 FIND_PERIOD_S = 3.0
+CONNECTION_KEPT_NS = 3_000_000_000
 COMBINED_HZ = 1.0
 COMBINED_WINDOW_NS = 3_000_000_000
 REFLECTOR_PARAMETER = "stamp_reflector"
@@ -37,18 +38,11 @@ REFLECTOR_PARAMETER = "stamp_reflector"
 
 log = logging.getLogger("linkrover.ros1")
 
-ConnectionSource = Callable[[], Iterable[TcpConnection]]
-
 
 class Ros1Part:
-    """A part of the agent (linkrover.agent.Part).
+    """A part of the agent (linkrover.agent.Part), and a sink of its records."""
 
-    connections: gives the kernel's TCP connections of this machine, for topic traffic; None = not joined.
-    """
-
-    def __init__(
-        self, node: Ros1, options: Ros1Options, layout: Layout, *, connections: ConnectionSource | None = None
-    ) -> None:
+    def __init__(self, node: Ros1, options: Ros1Options, layout: Layout) -> None:
         self.node = node
         self.options = options
         self.publisher = RecordPublisher(node, options.end, layout)
@@ -56,7 +50,7 @@ class Ros1Part:
         self.markers = PathMarkers(node, f"{layout.end_prefix(options.end)}linkrover/path")
         self.rtt = NearestRtt()
         self.prober: DelayProber | None = None
-        self._connections = connections
+        self._connections: dict[tuple[str, str], TcpConnection] = {}
         self._agent: Agent | None = None
         self._done = threading.Event()
         self._ends: list[Callable[[], None]] = []
@@ -72,6 +66,8 @@ class Ros1Part:
             self.markers.take(record)
         if isinstance(record, ProbeResult):
             self.rtt.take(record)
+        elif isinstance(record, TcpConnection):
+            self._connections[(record.local, record.remote)] = record
 
     def close(self) -> None:
         """Sink protocol: the node is closed in stop()."""
@@ -210,12 +206,18 @@ class Ros1Part:
                 continue
             reader = reader or TrafficReader(self.node.resolved_name, only_local=True)
             try:
-                rows = reader.read(tuple(self._connections()) if self._connections is not None else ())
+                rows = reader.read(self._recent_connections())
             except RpcError as error:
                 log.debug("topic traffic: %s", error)
                 continue
             for row in rows:
                 self._hand_over(row.traffic)
+
+    def _recent_connections(self) -> tuple[TcpConnection, ...]:
+        oldest_ns = time.monotonic_ns() - CONNECTION_KEPT_NS
+        recent = {ends: found for ends, found in self._connections.copy().items() if found.mono_ns >= oldest_ns}
+        self._connections = recent
+        return tuple(recent.values())
 
     def _extra(self) -> dict[str, str]:
         values = {"messages_not_published": str(self.node.lost_messages), "master": master_uri()}
