@@ -311,9 +311,9 @@ def _offset(part: Probes, end: End | None) -> tuple[Floats, float] | None:
     if end is None or end.offset is None or part.table is None:
         return None
     table = end.offset
-    known = np.isfinite(table["error_bound_ns"])
-    if not known.any():
+    if not np.isfinite(table["error_bound_ns"]).any():
         return None
+    known = table["error_bound_ns"] <= 1.5 * np.nanmin(table["error_bound_ns"])  # wide bounds say little
     wall = table["wall_ns"][known].astype(np.float64)
     return np.interp(part.table["wall_ns"], wall, table["offset_ns"][known]), float(
         table["error_bound_ns"][known].max()

@@ -236,6 +236,8 @@ def counter_figures(table: Columns | None, name: str, window: Window) -> Counter
         return CounterFigures(reason=f"{name}: not recorded")
     known = np.isfinite(table[name])
     raw, times = table[name][known], table["t_s"][known]
+    if not len(raw):
+        return CounterFigures(reason=f"{name}: this kernel or driver does not give it")
     if len(raw) < 2:
         return CounterFigures(reason=f"{name}: fewer than two samples")
     steps = np.diff(raw)

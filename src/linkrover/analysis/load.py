@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 ENDS = ("robot", "station")
 CLOCK_STEP_NS = 50_000_000
-UNCONNECTED_GAP_S = 3600.0
+TIGHT = 1.5
 
 
 def load_run(path: str | Path, *, case: str | None = None, trial: int | None = None) -> Run:
@@ -102,7 +102,7 @@ def build_run(name: str, path: str, raws: dict[str, RawEnd], problems: list[str]
         r.published_2021 for r in raws.values()
     )
     shifts, clock = _join_clocks(raws, published, problems)
-    local = {role: _Clock(raw, shifts.get(role, 0), problems, role) for role, raw in raws.items()}
+    local = {role: _Clock(raw, shifts.get(role), problems, role) for role, raw in raws.items()}
     firsts = [c.first for role, c in local.items() if c.first is not None and role in ENDS]
     if not firsts:
         raise ParseError(path, "recordings", "at least one sample from one end", "none")
@@ -133,8 +133,7 @@ def build_run(name: str, path: str, raws: dict[str, RawEnd], problems: list[str]
         clock=clock,
         case=next((m.case for m in manifests if m.case is not None), None),
         trial=next((m.trial for m in manifests if m.trial is not None), None),
-        factors={k: notes[k] for k in ("ap", "band", "adapter") if k in notes}
-        | {k.removeprefix("factor."): v for k, v in notes.items() if k.startswith("factor.")},
+        factors=_factors(next((m.case for m in manifests if m.case is not None), None), notes),
         published_2021=published,
         problems=tuple(dict.fromkeys(problems)),
         repairs=tuple(dict.fromkeys(r for m in manifests for r in m.repairs)),
@@ -142,6 +141,15 @@ def build_run(name: str, path: str, raws: dict[str, RawEnd], problems: list[str]
         summary_rows=_summary_rows(notes, problems),
         rows_in_file=int(rows) if rows.isdigit() else None,
     )
+
+
+def _factors(case: str | None, notes: dict[str, str]) -> dict[str, str]:
+    """What is varied between cases: from the manifest's notes, else as far as the case's name says it."""
+    from linkrover.importer.naming import factors_of_case
+
+    found = factors_of_case(case) if case is not None else {}
+    found |= {k: notes[k] for k in ("ap", "band", "adapter") if k in notes}
+    return found | {k.removeprefix("factor."): v for k, v in notes.items() if k.startswith("factor.")}
 
 
 def _summary_rows(notes: dict[str, str], problems: list[str]) -> dict[str, list[float]]:
@@ -159,7 +167,7 @@ def _summary_rows(notes: dict[str, str], problems: list[str]) -> dict[str, list[
 class _Clock:
     """One end's samples in nanoseconds on the joined clock: monotonic within the end, wall between the ends."""
 
-    def __init__(self, raw: RawEnd, shift_ns: int, problems: list[str], role: str) -> None:
+    def __init__(self, raw: RawEnd, shift: Shift | None, problems: list[str], role: str) -> None:
         import numpy as np
 
         tables = [t for kind, groups in raw.tables.items() for t in groups.values() if len(t["wall_ns"])]
@@ -170,16 +178,17 @@ class _Clock:
         if not stamped:
             return
         anchor = min(stamped, key=lambda t: int(t["mono_ns"][0]))
-        self._offset = int(anchor["wall_ns"][0] - anchor["mono_ns"][0]) + shift_ns
-        self.first = min(int(t["mono_ns"].min()) for t in stamped) + self._offset
-        self.last = max(int(t["mono_ns"].max()) for t in stamped) + self._offset
-        drift = max(float(np.abs(t["wall_ns"] - t["mono_ns"] + shift_ns - self._offset).max()) for t in stamped)
+        self._shift = shift
+        self._offset = int(anchor["wall_ns"][0] - anchor["mono_ns"][0])
+        self.first = int(min(self.nanoseconds(t).min() for t in stamped))
+        self.last = int(max(self.nanoseconds(t).max() for t in stamped))
+        drift = max(float(np.abs(t["wall_ns"] - t["mono_ns"] - self._offset).max()) for t in stamped)
         if drift > CLOCK_STEP_NS:
             problems.append(f"{role}: its wall clock was stepped by {drift / 1e9:.3f} s; monotonic times were taken")
 
     def nanoseconds(self, table: Columns) -> Times:
         out: Times = table["mono_ns"] + self._offset
-        return out
+        return out if self._shift is None else out + self._shift.at(out)
 
     def seconds(self, table: Columns, origin: int) -> NDArray[np.float64]:
         out: NDArray[np.float64] = (self.nanoseconds(table) - origin) / 1e9
@@ -189,8 +198,31 @@ class _Clock:
 _EARLY = frozenset({"NetworkDelay", "ProbeResult"})  # stamped at their sending, recorded later
 
 
-def _join_clocks(raws: dict[str, RawEnd], published: bool, problems: list[str]) -> tuple[dict[str, int], Clock]:
-    """Nanoseconds to add to each end's wall clock to get the robot's."""
+class Shift:
+    """Nanoseconds to add to an end's wall clock to get the robot's: the measured offsets, linear between them.
+
+    Only offsets whose bound is near the best one count: a loaded link gives wide bounds, which say little.
+    """
+
+    def __init__(self, table: Columns, sign: int) -> None:
+        import numpy as np
+
+        bound = table["error_bound_ns"]
+        kept = bound <= TIGHT * np.nanmin(bound)
+        self._from = int(table["wall_ns"][kept][0])
+        self._knots = (table["wall_ns"][kept] - self._from).astype(np.float64)
+        self._values = sign * table["offset_ns"][kept]
+        self.bound_ns = float(bound[kept].max())
+
+    def at(self, wall_ns: Times) -> Times:
+        """The shift at each time of the end's clock."""
+        import numpy as np
+
+        return np.rint(np.interp(wall_ns - self._from, self._knots, self._values)).astype(np.int64)
+
+
+def _join_clocks(raws: dict[str, RawEnd], published: bool, problems: list[str]) -> tuple[dict[str, Shift], Clock]:
+    """How to get from each end's wall clock to the robot's."""
     import numpy as np
 
     if not {"robot", "station"} <= set(raws):
@@ -199,11 +231,11 @@ def _join_clocks(raws: dict[str, RawEnd], published: bool, problems: list[str]) 
         return {}, Clock("one clock: the robot wrote both ends' messages", 0, None)
     for role, sign in (("robot", -1), ("station", 1)):
         table = raws[role].table("ClockOffset")
-        if table is None or not len(table["wall_ns"]):
+        if table is None or not np.isfinite(table["error_bound_ns"]).any():
             continue
         best = int(np.nanargmin(table["error_bound_ns"]))
-        offset, bound = int(table["offset_ns"][best]), int(table["error_bound_ns"][best])
-        return {"station": sign * offset}, Clock("probe", -sign * offset, bound)
+        shift = Shift(table, sign)
+        return {"station": shift}, Clock("probe", -sign * int(table["offset_ns"][best]), int(shift.bound_ns))
     boots = {raw.manifest.boot_id for role, raw in raws.items() if role in ENDS and raw.manifest is not None}
     if len(boots) == 1 and None not in boots:
         return {}, Clock("same machine", 0, 0)
@@ -273,6 +305,8 @@ def _end(role: str, raw: RawEnd, clock: _Clock, origin: int) -> End:
     end.probe, end.offset, end.account = single("ProbeResult"), single("ClockOffset"), single("SelfAccount")
     end.pose, end.command = single("Pose"), single("VelocityCommand")
     end.delays = by_iface("NetworkDelay")
+    if end.probe is not None:
+        end.delays.pop("stamp", None)  # the probe's own results in short
     end.traffic = {
         (key[0], key[1], key[2]): ready(t) for key, t in raw.tables.get("TopicTraffic", {}).items() if len(t["wall_ns"])
     }

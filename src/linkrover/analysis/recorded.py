@@ -32,6 +32,8 @@ def read_raw(path: Path) -> tuple[dict[str, RawEnd], list[str]]:
             errors.append(error)
             problems.append(f"{place.name}: cannot be read: {error}")
             continue
+        if recording.end == "truth":
+            by_end = {"truth": by_end.get("truth", [])}
         for end, records in by_end.items():
             if end not in KINDS:
                 problems.append(f"{place.name}: topics of '{end}' are of neither end and left out")

@@ -250,9 +250,8 @@ def _interface(run: Run, end: End, iface: str, window: Window, connected: Window
     retransmits = counter_figures(machine, "tcp_retransmits", window)
     retries = counter_figures(errors, "mac_tx_retries", window)
     others = {name: counter_figures(errors, name, window) for name in COUNTERS if errors is not None and name in errors}
-    reasons = [c.reason for c in (retransmits, retries) if c.reason]
-    if retransmits.increase is None and retransmits.reason:
-        reasons[0] = retransmits.reason.replace("tcp_retransmits", "retransmits", 1)
+    named = (("tcp_retransmits", "retransmits", retransmits), ("mac_tx_retries", "mac_retries", retries))
+    reasons = [c.reason.replace(raw, name, 1) for raw, name, c in named if c.reason]
     return InterfaceFigures(
         throughput_mbps=throughput_figures(end.utilization.get(iface), window, connected),
         rssi_dbm=signal_figures(end, wireless, window, run.published_2021),

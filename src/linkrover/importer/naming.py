@@ -83,3 +83,15 @@ def guess_setup(path: str | PurePath, case: str | None = None, trial: int | None
 
 
 _PLACES = (("router", "router"), ("client", "robot"), ("robot", "robot"), ("server", "station"), ("station", "station"))
+
+
+def factors_of_case(case: str) -> dict[str, str]:
+    """The factors a case's name tells: a number of Table I, or words such as `robot-ap-internal-2.4`."""
+    if case.isdigit():
+        return guess_setup("", case=case).factors()
+    words = [word for word in re.split(r"[^a-z0-9.]+", case.lower()) if word]
+    found = guess_setup(case).factors()
+    band = next((m[1] for w in words if (m := re.fullmatch(r"(2\.4|5|6)(?:ghz|g)?", w))), None)
+    if band is not None:
+        found["band"] = f"{band} GHz"
+    return found

@@ -100,7 +100,7 @@ def _interface_rows(
     for reason in (
         thr.reason if thr.mean is None else None,
         rssi.reason if rssi.mean is None else None,
-        figures.reason,
+        (figures.reason or "").split("; link_quality")[0] if figures.retransmits is None else None,
     ):
         if reason:
             table.notes.append(f"{where}: {reason}")
