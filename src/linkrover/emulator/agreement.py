@@ -7,7 +7,7 @@ to: throughput within 1 %, loss within 0.5 points, median round trip within 0.5 
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from statistics import median
 
 import msgspec
@@ -114,7 +114,9 @@ class _Truth:
         }
 
 
-def compare(ends: dict[str, Sequence[Record]], truth: Iterable[Record], deadline_ns: int = 2_000_000_000) -> Agreement:
+def compare(
+    ends: Mapping[str, Sequence[Record]], truth: Iterable[Record], deadline_ns: int = 2_000_000_000
+) -> Agreement:
     """Compare the recordings of the ends ("robot", "station") with the emulator's truth."""
     known = _Truth(truth)
     figures: list[Figure] = []

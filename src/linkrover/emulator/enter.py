@@ -13,7 +13,9 @@ import sys
 
 CLONE_NEWNS, CLONE_NEWNET = 0x00020000, 0x40000000
 MS_REC, MS_PRIVATE = 0x4000, 0x40000
+MS_BIND = 0x1000
 PR_SET_PDEATHSIG = 1
+HOSTS_VARIABLE = "LINKROVER_HOSTS_FILE"
 
 
 def main() -> None:
@@ -34,6 +36,9 @@ def main() -> None:
             libc.mount(b"none", b"/", None, MS_REC | MS_PRIVATE, None)
             # without this (some containers forbid it) /sys keeps showing the outer devices; /proc/net is right anyway
             libc.mount(b"sysfs", b"/sys", b"sysfs", 0, None)
+            hosts = os.environ.get(HOSTS_VARIABLE)
+            if hosts:
+                libc.mount(os.fsencode(hosts), b"/etc/hosts", None, MS_BIND, None)
     # a shell's background job ignores SIGINT; the program must be stoppable all the same
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:

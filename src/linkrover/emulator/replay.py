@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol
 
 import msgspec
@@ -62,7 +62,7 @@ class Timeline(msgspec.Struct, frozen=True, kw_only=True):
         return len(self.rate_bps) * STEP_S
 
 
-def build(source: str, ends: dict[str, Sequence[Record]]) -> Timeline:
+def build(source: str, ends: Mapping[str, Sequence[Record]]) -> Timeline:
     """From the recordings of a run, by end.
 
     Raises:

@@ -153,15 +153,19 @@ class World:
         os.close(write_fd)
         self._until(lambda: self._truth_began, "the relay to begin")
 
-    def start_agents(self, record: Path) -> None:
-        """The station's agent, then, once its reflector listens, the robot's."""
+    def start_agents(self, record: Path, *, reflect_both: bool = False) -> None:
+        """The station's agent, then, once its reflector listens, the robot's. reflect_both: the robot answers too."""
         self._agent("station", record, reflect=True)
-        port = f":{DEFAULT_PORT:04X}"
-        self._until(lambda: any(port in line for line in self._udp("station")), "the station's reflector to listen")
-        self._agent("robot", record, peers=(ADDRESSES["station"],), feed=self.path("feed"))
+        self._until(partial(self._reflects, "station"), "the station's reflector to listen")
+        self._agent("robot", record, peers=(ADDRESSES["station"],), feed=self.path("feed"), reflect=reflect_both)
         for end in ADDRESSES:
             folder = record / end
             self._until(partial(_has_files, folder), f"the {end}'s recording")
+
+    def start_reflector(self, end: str) -> None:
+        """Only a STAMP reflector at one end, nothing recorded."""
+        self._start(f"{end}'s reflector", [sys.executable, "-m", "linkrover", "reflect"], host=self._hosts[end])
+        self._until(partial(self._reflects, end), f"the {end}'s reflector to listen")
 
     def start_traffic(self) -> None:
         """Robot, operator and their streams."""
@@ -189,6 +193,13 @@ class World:
         process = subprocess.Popen(
             [sys.executable, "-I", "-S", enter.__file__, str(host.netns_fd), "--", *command],
             pass_fds=(host.netns_fd,),
+            env={
+                **os.environ,
+                **{f"LINKROVER_{name.upper()}": address for name, address in ADDRESSES.items()},
+                "LINKROVER_END": end,
+                "LINKROVER_WIRELESS": self.path(f"{end}.wireless"),
+                enter.HOSTS_VARIABLE: self._hosts_file(),
+            },
         )
         self.folder.add(process.pid, command[0])
         return process
@@ -226,9 +237,10 @@ class World:
 
     def stop(self) -> None:
         """End everything, the robot's agent first, so that its last probes are still answered. Safe to call again."""
-        order = ("robot's agent", "station's agent", "robot's traffic", "station's traffic", "relay")
+        order = ("robot's agent", "station's agent", "robot's traffic", "station's traffic")
         with _deaf_to_interrupts():
-            for part in sorted(self._parts, key=lambda part: order.index(part.what)):
+            ranks = {what: rank for rank, what in enumerate(order)}
+            for part in sorted(self._parts, key=lambda part: ranks.get(part.what, 9 if part.what == "relay" else 5)):
                 # the truth goes on being read meanwhile, or the relay would wait for room in its pipe
                 part.process.terminate() if part.process.poll() is None else None
                 give_up = time.monotonic() + STOP_LIMIT_S
@@ -260,6 +272,16 @@ class World:
     def path(self, name: str) -> str:
         """A path in the run's working folder."""
         return str(self.folder.path / name)
+
+    def _hosts_file(self) -> str:
+        """/etc/hosts as the user's program sees it: what this machine's says, and the two ends."""
+        path = Path(self.path("hosts"))
+        if not path.exists():
+            with contextlib.suppress(OSError):
+                path.write_text(Path("/etc/hosts").read_text())
+            with path.open("a") as file:
+                file.writelines(f"\n{address} {name}\n" for name, address in ADDRESSES.items())
+        return str(path)
 
     def _save(self, name: str, settings: msgspec.Struct) -> str:
         path = Path(self.path(name))
@@ -309,11 +331,14 @@ class World:
         if not reached():
             raise EmulationError(f"waited {START_LIMIT_S:.0f} s for {what}; is the machine overloaded?")
 
-    def _udp(self, end: str) -> list[str]:
-        def read() -> list[str]:
-            return Path("/proc/thread-self/net/udp").read_text().splitlines()
+    def _reflects(self, end: str) -> bool:
+        """Whether a reflector listens there, by the kernel's own list of sockets."""
 
-        return in_namespace(self._hosts[end].netns_fd, read)
+        def read() -> str:
+            # a reflector that takes IPv6 too is listed there
+            return "".join(Path(f"/proc/thread-self/net/{name}").read_text() for name in ("udp", "udp6"))
+
+        return f":{DEFAULT_PORT:04X} " in in_namespace(self._hosts[end].netns_fd, read)
 
     def _read_truth(self) -> None:
         while True:
