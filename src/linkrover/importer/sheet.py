@@ -12,6 +12,7 @@ from linkrover.errors import ParseError
 
 if TYPE_CHECKING:
     import numpy as np
+    import polars as pl
     from numpy.typing import NDArray
 
     Floats = NDArray[np.float64]
@@ -19,9 +20,11 @@ if TYPE_CHECKING:
 
 NOTHING_YET = -2.0  # what the 2021 writer put before a topic's first message
 ODOMETRY_HZ = 50
+MAX_STEPS = 100 * 3600 * ODOMETRY_HZ
 FAMILY = ("time_stamp", "network_delay")
 _NEEDED = "a CSV file of the 2021 measurements (columns time_stamp, network_delay and c_* or s_*)"
 _MAX_BYTES = 2 << 30
+_INF = float("inf")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +68,7 @@ def parse_sheet(data: bytes, file: str) -> Sheet:
     if b"\0" in data:
         raise ParseError(file, f"byte {data.index(0)}", _NEEDED, "a binary file")
     separator, names = _header(data, file)
-    raw = _cells(data, separator, file)
+    raw = _cells(data, separator, len(names), file)
     columns = _numbers(raw, names, separator, repairs)
     return _sound_rows(columns, file, repairs)
 
@@ -90,31 +93,28 @@ def _header(data: bytes, file: str) -> tuple[str, list[str]]:
     return separator, names
 
 
-def _cells(data: bytes, separator: str, file: str) -> list[NDArray[np.str_]]:
+def _cells(data: bytes, separator: str, width: int, file: str) -> pl.DataFrame:
     """The text of every cell, column by column."""
     import polars as pl
 
     try:
-        frame = pl.read_csv(
+        return pl.read_csv(
             io.BytesIO(data),
             separator=separator,
             has_header=False,
+            schema={f"column {i}": pl.String for i in range(width)},
             skip_rows=1,
-            infer_schema=False,
             truncate_ragged_lines=True,
             encoding="utf8-lossy",
-            new_columns=None,
         )
     except pl.exceptions.PolarsError as error:
         raise ParseError(file, "line 2", "rows of numbers", str(error).splitlines()[0]) from error
-    return frame  # type: ignore[return-value]
 
 
-def _numbers(frame: object, names: list[str], separator: str, repairs: list[str]) -> dict[str, Floats | Times]:
+def _numbers(frame: pl.DataFrame, names: list[str], separator: str, repairs: list[str]) -> dict[str, Floats | Times]:
     """Cells to float64 (NaN = no number there); `time_stamp` to integer nanoseconds (-1 = none)."""
     import polars as pl
 
-    assert isinstance(frame, pl.DataFrame)
     wanted = [(name, frame.columns[i]) for i, name in enumerate(names) if name and i < frame.width]
     text = frame.select([pl.col(column).str.strip_chars().alias(name) for name, column in wanted])
     if separator == ";":
@@ -125,7 +125,11 @@ def _numbers(frame: object, names: list[str], separator: str, repairs: list[str]
     numbers = text.select(
         exact.is_null().and_(rounded.is_not_null()).alias("#digits lost"),
         pl.coalesce(exact, rounded).fill_null(-1).alias("time_stamp"),
-        *[pl.col(n).cast(pl.Float64, strict=False).fill_nan(None) for n in text.columns if n != "time_stamp"],
+        *[
+            pl.col(n).cast(pl.Float64, strict=False).replace([_INF, -_INF], None).fill_nan(None)
+            for n in text.columns
+            if n != "time_stamp"
+        ],
     )
     lost = int(numbers["#digits lost"].sum())
     if lost:
@@ -182,7 +186,8 @@ def _put_clock_right(
     import numpy as np
 
     step = columns.get("time_step")
-    if step is not None and len(np.unique(wall)) < 0.9 * len(wall) and (np.diff(step) > 0).all():
+    coarse = len(np.unique(wall)) < 0.9 * len(wall)
+    if step is not None and coarse and (np.diff(step) > 0).all() and np.ptp(step) < MAX_STEPS:
         repairs.append(
             f"time stamps too coarse ({len(np.unique(wall))} distinct in {len(wall)} rows): times rebuilt from the "
             f"odometry sequence at {ODOMETRY_HZ} Hz; the absolute time is that of the first stamp"
