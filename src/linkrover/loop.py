@@ -62,7 +62,8 @@ class Loop:
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_read, False)
         os.set_blocking(self._wake_write, False)
-        self._selector.register(self._wake_read, selectors.EVENT_READ, None)
+        self._selector.register(self._wake_read, selectors.EVENT_READ)
+        self._readers: dict[int, Callable[[], None]] = {}
         self._heap: list[tuple[int, int, Callable[[], None]]] = []
         self._order = 0
         self._stopped = False
@@ -91,10 +92,14 @@ class Loop:
 
     def reader(self, file: HasFileno | int, callback: Callable[[], None]) -> Callable[[], None]:
         """Call back whenever `file` is readable (or has an error queue to read). Returns what removes it again."""
-        self._selector.register(file, selectors.EVENT_READ, callback)
+        fd = self._selector.register(file, selectors.EVENT_READ).fd
+        self._readers[fd] = callback
 
         def remove() -> None:
-            self._selector.unregister(file)
+            # by number: a socket that was closed first has none any more
+            if self._readers.get(fd) is callback:
+                del self._readers[fd]
+                self._selector.unregister(fd)
 
         return remove
 
@@ -111,10 +116,13 @@ class Loop:
                 due_ns = min(due_ns, until_ns)
             wait_s = None if due_ns is None else max(0, due_ns - time.monotonic_ns()) / 1e9
             for key, _ in self._selector.select(wait_s):
-                if key.data is None:
+                if key.fd == self._wake_read:
                     self._drain_wake()
-                else:
-                    key.data()
+                    continue
+                # an earlier callback of this round may have removed this one and closed its file
+                callback = self._readers.get(key.fd)
+                if callback is not None:
+                    callback()
 
     def stop(self) -> None:
         """Make run() return; safe in a signal handler."""
