@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkrover.errors import LinkRoverError
+from linkrover.errors import LinkRoverError, MissingExtraError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from linkrover.emulator.agreement import Agreement, Figure
+    from linkrover.emulator.agreement import Agreement
     from linkrover.experiment.trial import View
 
 LINE_PERIOD_S = 5.0
@@ -82,50 +82,62 @@ def progress(console: Console) -> Iterator[Callable[[View], None]]:
         yield show
 
 
-def verdict(figure: Figure) -> str:
-    """One word on a figure."""
-    return {True: "agrees", False: "DIFFERS", None: "nothing to compare"}[figure.agrees]
-
-
 def print_agreement(console: Console, agreement: Agreement) -> None:
     """The table of measured against true."""
     from rich.table import Table
 
     table = Table(title="Measured against true", title_justify="left", title_style="bold")
-    for heading in ("", "measured", "true", "unit", "difference", "limit", ""):
-        table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
+    table.add_column("figure", no_wrap=True)
+    for heading in ("measured", "true"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    table.add_column("difference", justify="right", no_wrap=True)
+    table.add_column("limit", no_wrap=True)
     for figure in agreement.figures:
+        unit = figure.difference_unit
         known = figure.difference is not None
-        digits = 0 if figure.difference_unit == "samples" else 3
+        digits = 0 if unit == "samples" else 2
         table.add_row(
             figure.what,
             "-" if figure.measured is None else f"{figure.measured:.3f}",
             "-" if figure.true is None else f"{figure.true:.3f}",
             figure.unit,
-            f"{figure.difference:+.{digits}f} {figure.difference_unit}" if known else "-",
-            f"{figure.limit:g} {figure.difference_unit}" if known else "-",
-            verdict(figure) if known else figure.note,
+            f"{figure.difference:+.{digits}f} {unit}" if known else "-",
+            (f"{figure.limit:g} {unit}" + (": DIFFERS" if figure.agrees is False else "")) if known else figure.note,
             style="red" if figure.agrees is False else None,
         )
     console.print(table)
     if agreement.release_error_median_ms is not None and agreement.release_error_max_ms is not None:
         console.print(
-            f"The emulator released packets {agreement.release_error_median_ms:.2f} ms (median) to "
+            f"The relay let packets go {agreement.release_error_median_ms:.2f} ms (median) to "
             f"{agreement.release_error_max_ms:.1f} ms (worst) after the model's time"
-            + (f"; it was behind in {agreement.behind:.1%} of the time." if agreement.behind else ".")
+            + (f"; it was behind in {agreement.behind:.1%} of the time." if agreement.behind else "."),
+            soft_wrap=True,
         )
 
 
-def write_report(console: Console, run: Path) -> tuple[Path | None, str | None]:
-    """Table on the console and `run`/report.html. Returns its path, or None and why there is none."""
+def write_report(
+    console: Console, runs: list[Path], page: Path, *, table: bool = True
+) -> tuple[Path | None, str | None]:
+    """Join and report runs: tables on the terminal, HTML into `page`. Returns its path, or None and why not."""
     try:
         with console.status("joining the recordings and drawing the report") if console.is_terminal else _quiet():
-            from linkrover.cli.report import report
+            from linkrover.analysis.batch import load_all
+            from linkrover.analysis.summary import summarise
+            from linkrover.report.document import build_document, print_document
+            from linkrover.report.views import write_html
 
-            page = run / "report.html"
-            report(run, format="html", out=page)
+            loaded, failed = load_all(runs)
+            for path, error in failed:
+                console.print(f"left out of the report: {path}: {error}", soft_wrap=True)
+            summaries = [summarise(run) for run in loaded]
+            write_html(loaded, summaries, page)
+        if table:
+            print_document(build_document(summaries, loaded))
     except LinkRoverError as error:
-        return None, f"No HTML report: {error}"
+        return None, f"No report: {error}"
+    except ModuleNotFoundError as error:
+        return None, f"No report: {MissingExtraError('report', error.name or 'a package')}"
     return page, None
 
 

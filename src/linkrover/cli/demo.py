@@ -87,7 +87,7 @@ def _finish(console: Console, out: Path, outcome: Outcome, as_json: bool) -> int
     """Join, report, say what was measured and whether it is true. Returns the exit status."""
     from ._trial import write_report
 
-    page, problem = write_report(console, out)
+    page, problem = write_report(console, [out], out / "report.html", table=not as_json)
     agreement = outcome.agreement
     if as_json:
         found = {

@@ -210,9 +210,9 @@ def _settings(case: str, seed: int, trajectory: Trajectory, replay: Path | None)
     route = ROUTES.get(trajectory, OUT_AND_BACK)
     if replay is None:
         return WorldSettings(case=presets.find(case), seed=seed, route=route)
-    from linkrover.bag import read_records
+    from linkrover.bag.reading import read_recording
     from linkrover.emulator.replay import CASE, build
 
     parts = {end: replay / end for end in ("robot", "station") if (replay / end).exists()} or {"robot": replay}
-    timeline = build(str(replay), {end: list(read_records(part)) for end, part in parts.items()})
+    timeline = build(str(replay), {end: list(read_recording(part).records()) for end, part in parts.items()})
     return WorldSettings(case=CASE, seed=seed, route=route, replay=timeline)

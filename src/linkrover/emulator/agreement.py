@@ -141,7 +141,7 @@ def compare(
 
 
 def _throughput(end: str, direction: str, records: Sequence[Record], truth: _Truth) -> Figure:
-    what = f"throughput {end} {'sends' if direction == 'tx' else 'receives'}"
+    what = f"{end} {'sends' if direction == 'tx' else 'receives'}"
     field = f"{direction}_bytes"
     samples = sorted(
         (r for r in records if isinstance(r, LinkUtilization) and getattr(r, field) is not None),
@@ -184,13 +184,13 @@ def _probes(end: str, probes: Sequence[ProbeResult], truth: _Truth, deadline_ns:
     if known:
         share, true_share = 100 * lost / known, 100 * lost_truly / known
         figures.append(
-            Figure(f"probe loss from {end}", "%", share, true_share, share - true_share, "points",
+            Figure(f"{end}'s probes lost", "%", share, true_share, share - true_share, "points",
                    LOSS_LIMIT_POINTS, known, note)
         )  # fmt: skip
     if rtts:
         value, true_value = median(rtts) / 1e6, median(true_rtts) / 1e6
         figures.append(
-            Figure(f"median round trip from {end}", "ms", value, true_value, value - true_value, "ms",
+            Figure(f"{end}'s median round trip", "ms", value, true_value, value - true_value, "ms",
                    DELAY_LIMIT_MS, len(rtts))
         )  # fmt: skip
     return figures

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,18 @@ from linkrover.bag import Recorder
 from linkrover.emulator.agreement import Agreement, compare
 from linkrover.emulator.world import World, WorldSettings
 from linkrover.errors import LinkRoverError
-from linkrover.records import LinkTruth, Manifest, Pose, Record, Role, now
+from linkrover.records import (
+    LinkTruth,
+    LinkUtilization,
+    Manifest,
+    Pose,
+    ProbeResult,
+    ProbeTruth,
+    Record,
+    Role,
+    WirelessLink,
+    now,
+)
 
 ENDS = ("robot", "station")
 OUTCOME_FILE = "outcome.json"
@@ -179,12 +190,10 @@ def run_trial(
 
 def check_agreement(out: Path) -> Agreement:
     """Measured against true, from the recordings of a finished run."""
-    from linkrover.bag import read_records
+    from linkrover.bag.reading import read_recording
 
-    def records(end: str) -> Sequence[Record]:
-        return list(read_records(out / end))
-
-    return compare({end: records(end) for end in ENDS}, records("truth"))
+    ends = {end: list(read_recording(out / end).records(LinkUtilization, ProbeResult, WirelessLink)) for end in ENDS}
+    return compare(ends, read_recording(out / "truth").records(LinkTruth, ProbeTruth))
 
 
 def save_outcome(out: Path, outcome: Outcome) -> None:
