@@ -105,7 +105,7 @@ def test_single_holes_take_the_value_before_and_are_noted() -> None:
         (b"   \n \n", "an empty file"),
         (b"a,b,c\n1,2,3\n", "a, b, c"),
         (b"\x89PNG\r\n\x00\x00", "binary"),
-        (HEADER.encode(), "empty CSV"),
+        (HEADER.encode() + b"\n", "got 0"),
         (HEADER.encode() + b"\n,,,,\n", "0"),
         (b"time_stamp,network_delay\n1,2\n", "time_stamp, network_delay"),
         (b"time_stamp,time_stamp,network_delay,c_rssi\n1,1,2,3\n", "twice"),
