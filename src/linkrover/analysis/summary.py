@@ -29,6 +29,7 @@ from .link import (
 )
 from .motion import MotionFigures, motion_figures, moving_window, position_at, still_window
 from .reasons import with_reasons
+from .recovery import Recovery, recoveries
 from .run import End, Run
 from .window import Window
 
@@ -121,6 +122,7 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     static_no_lead: PartFigures | None = None  # the paper's method only
     application_delay_ms: dict[str, DelayFigures] = {}
     outages: list[Outage] = []
+    recoveries: list[Recovery] = []  # after each interruption: when radio, probe and application were back
     outage_threshold_s: float | None = None
     motion: MotionFigures = MotionFigures()
     clock: ClockFigures
@@ -163,6 +165,7 @@ def _summarise(run: Run, outage_threshold_s: float) -> RunSummary:
         moving=_sub(run, moving_window(run, still) if still is not None else None, connected, probes, "it never moved"),
         application_delay_ms=_application(run),
         outages=_outages(run, out, still_out),
+        recoveries=recoveries(run, probes, out),
         outage_threshold_s=outage_threshold_s,
         motion=motion_figures(run, still, rule),
         clock=clock_figures(run),

@@ -45,6 +45,8 @@ def build_document(summaries: Sequence[RunSummary], runs: Sequence[Run] = (), ne
         section = Section(label(summary), summary_words(summary), [run_table(summary)])
         if summary.outages:
             section.tables.append(outage_table(summary))
+        if summary.recoveries:
+            section.tables.append(recovery_table(summary))
         document.sections.append(section)
     document.sections.append(Section("Method and limits", limits(summaries)))
     return document
@@ -75,6 +77,30 @@ def outage_table(summary: RunSummary) -> Table:
         table.rows.append([o.start_s, o.end_s, o.duration_s, o.x_m, o.y_m, o.distance_m, o.rssi_dbm])
     if not summary.outages[-1].ended:
         table.notes.append("The last one was still on when the recording ended.")
+    return table
+
+
+def recovery_table(summary: RunSummary) -> Table:
+    """After each interruption: the radio's gap, the probe's and the application's, side by side."""
+    methods = sorted({method for r in summary.recoveries for method in r.application_back_s})
+    columns = (
+        Column("at (s)", 1),
+        Column("what"),
+        Column("seen at"),
+        Column("from"),
+        Column("to"),
+        Column("radio back after (s)", 2),
+        Column("first probe (s)", 2),
+        *(Column(f"{method} (s)", 2) for method in methods),
+        Column("x (m)", 2),
+        Column("y (m)", 2),
+    )
+    table = Table("What came back when", columns, name=f"recoveries-{summary.run}")
+    for r in summary.recoveries:
+        back = [r.application_back_s.get(method) for method in methods]
+        place = [r.x_m, r.y_m]
+        row: list[str | float | int | None] = [r.begin_s, r.cause, r.end, r.previous_bssid, r.bssid]
+        table.rows.append([*row, r.radio_back_s, r.probe_back_s, *back, *place])
     return table
 
 

@@ -99,6 +99,9 @@ def _run(page: Page, view: RunView, index: int, most: int, surface: interactive.
     page.table(_figures_table(view, key))
     if view.outages:
         page.fold(f"Outages ({len(view.outages)})", _outage_table(view, key))
+    if view.recoveries:
+        page.heading("What came back when")
+        page.bullets(view.recoveries)
     if view.events:
         page.fold(f"Timeline ({len(view.events)})", _event_table(view, key))
     if view.setup:

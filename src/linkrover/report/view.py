@@ -74,6 +74,7 @@ class RunView:
     path: Path | None = None
     outages: tuple[OutageView, ...] = ()
     events: tuple[EventView, ...] = ()
+    recoveries: tuple[str, ...] = ()
     setup: dict[str, dict[str, str]] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     repairs: tuple[str, ...] = ()

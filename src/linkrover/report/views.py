@@ -10,8 +10,10 @@ import numpy as np
 
 from linkrover.analysis.delay import Probes, application_probes, find_probes
 from linkrover.analysis.link import signal_steps
+from linkrover.analysis.recovery import recovery_sentence
 from linkrover.analysis.run import End, Run
 from linkrover.analysis.summary import RunSummary
+from linkrover.records import Manifest
 
 from .page import Table as PageTable
 from .table import Table
@@ -25,10 +27,7 @@ def view_of(run: Run, summary: RunSummary) -> RunView:
         lines += _signal(run, role, end) + _throughput(role, end)
     probes = find_probes(run)
     lines += _delays(run, probes)
-    setup = {
-        role: {k: str(v) for k, v in msgspec.to_builtins(found).items() if v not in (None, False, {}, "")}
-        for role, found in summary.setup.items()
-    }
+    lines += _truth(run)
     return RunView(
         name=run.name,
         case=run.case or "",
@@ -40,7 +39,8 @@ def view_of(run: Run, summary: RunSummary) -> RunView:
         path=_path(run),
         outages=tuple(OutageView(o.start_s, o.end_s) for o in summary.outages),
         events=_events(run),
-        setup=setup,
+        recoveries=tuple(recovery_sentence(r) for r in summary.recoveries),
+        setup={role: _setup(end.manifest) for role, end in run.ends.items() if end.manifest is not None},
         problems=summary.problems,
         repairs=summary.repairs,
         kind=_kind(run),
@@ -123,6 +123,35 @@ def _events(run: Run) -> tuple[EventView, ...]:
         for t, event in end.events
     ]
     return tuple(sorted(found, key=lambda e: e.t_s))
+
+
+def _truth(run: Run) -> list[Line]:
+    """What the emulator knows of the RSSI, to lay beside what was read."""
+    found = []
+    for key, table in run.truth.items():
+        kind, _, hop = key.partition(":")
+        if kind == "LinkTruth" and np.isfinite(np.asarray(table["rssi_dbm"], dtype=np.float64)).any():
+            rssi = np.asarray(table["rssi_dbm"], dtype=np.float64)
+            found.append(Line("rssi", f"true RSSI {hop}", "truth", table["t_s"], rssi))
+    return found
+
+
+def _setup(manifest: Manifest) -> dict[str, str]:
+    """The manifest, one value a line; an interface's values carry its name, absent ones are left out."""
+    rows: dict[str, str] = {}
+    for name, value in msgspec.to_builtins(manifest).items():
+        if name == "interfaces":
+            rows |= {
+                f"{i['name']}: {k}": ", ".join(v) if isinstance(v, list) else str(v)
+                for i in value
+                for k, v in i.items()
+                if k != "name" and v not in (None, [], "")
+            }
+        elif isinstance(value, dict):
+            rows |= {k: str(v) for k, v in value.items() if name != "unknown"}
+        elif value not in (None, "", [], False) and name not in ("wall_ns", "mono_ns", "record", "type"):
+            rows[name] = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return rows
 
 
 def _kind(run: Run) -> str:
