@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import contextlib
 import errno
 import fcntl
@@ -13,13 +14,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
+from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
 from linkrover.errors import LinkRoverError
 from linkrover.messages import Codec, messages_of, texts
 from linkrover.records import EventKind, LinkEvent, Manifest, Record
 
-from .container import MAGIC, MANIFEST_NAME, MESSAGE_HEAD, Finished, file_head, finalise, packed
+from .container import MANIFEST_NAME, MESSAGE_HEAD, Finished, file_head, finalise, packed
 from .metadata import qos
 
 JOURNAL_SUFFIX = ".mcap.journal"
@@ -75,7 +77,7 @@ class Recorder:
         self._channels: dict[str, _Channel] = {}
         self._schemas: dict[str, int] = {}
         self._pending = bytearray()
-        self._pending_records = 0
+        self._marks: list[int] = []  # where each pending record ends
         self._events: list[LinkEvent] = []
         self._lock = threading.Lock()
         self._wake = threading.Event()
@@ -108,7 +110,7 @@ class Recorder:
                     channel = self._channels[topic] = self._open_channel(topic, message_type, data)
                 body = channel.codec.encode(message)
                 log_ns = record.wall_ns
-                data += MESSAGE_HEAD.pack(5, len(body) + 22, channel.id, channel.sequence, log_ns, log_ns)
+                data += MESSAGE_HEAD.pack(Opcode.MESSAGE, len(body) + 22, channel.id, channel.sequence, log_ns, log_ns)
                 data += body
                 channel.sequence += 1
         except struct.error as error:
@@ -122,7 +124,7 @@ class Recorder:
                 self.records_lost += 1
                 return
             self._pending += data
-            self._pending_records += 1
+            self._marks.append(len(self._pending))
 
     def close(self) -> Finished | None:
         """Write what is left and make the finished recording of it.
@@ -191,7 +193,7 @@ class Recorder:
         """Write what is pending. Only ever called by one thread at a time."""
         with self._lock:
             data, self._pending = self._pending, bytearray()
-            records, self._pending_records = self._pending_records, 0
+            marks, self._marks = self._marks, []
         if not data:
             return
         written = 0
@@ -200,37 +202,34 @@ class Recorder:
             while written < len(data):
                 written += os.write(self._fd, view[written:])
         except OSError as error:
-            self._failed(view, written, records, error)
+            self._failed(view, written, marks, error)
             return
         self.bytes_written += written
-        self.records_written += records
+        self.records_written += len(marks)
         if self.problem is not None and self.problem.startswith(_FULL):
             self._report(None, f"writing again; {self.records_lost} records were lost meanwhile")
 
-    def _failed(self, data: memoryview, written: int, records: int, error: OSError) -> None:
-        """Keep what was written whole, and the definitions for a later try; count the rest as lost."""
-        at = end = kept_messages = 0
+    def _failed(self, data: memoryview, written: int, marks: list[int], error: OSError) -> None:
+        """Keep the records that were written whole, and the definitions for a later try; count the rest as lost."""
+        kept = bisect.bisect_right(marks, written)
+        end = marks[kept - 1] if kept else 0
+        if end == 0 and self.bytes_written == 0:
+            raise error  # not even the manifest: there is no recording
         definitions = bytearray()
-        start = len(MAGIC) if data[: len(MAGIC)] == MAGIC else 0
-        if start and written < start:
-            raise error  # not even the file's head: there is no recording
-        at = end = start
+        at = end
         while at < len(data):
             (length,) = struct.unpack_from("<Q", data, at + 1)
-            following = at + 9 + length
-            if following <= written:
-                end = following
-                kept_messages += data[at] == 5
-            elif data[at] != 5:
-                definitions += data[at:following]
-            at = following
+            if data[at] != Opcode.MESSAGE:
+                definitions += data[at : at + 9 + length]
+            at += 9 + length
         os.ftruncate(self._fd, self.bytes_written + end)
         os.lseek(self._fd, 0, os.SEEK_END)
         self.bytes_written += end
-        self.records_written += min(records, kept_messages)
-        self.records_lost += records - min(records, kept_messages)
+        self.records_written += kept
+        self.records_lost += len(marks) - kept
         with self._lock:
             self._pending[:0] = definitions
+            self._marks = [mark + len(definitions) for mark in self._marks]
         if self.problem is None or not self.problem.startswith(_FULL):
             what = "the disk is full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else str(error.strerror)
             self._report(f"{_FULL}: {what}; measuring goes on, {self.path} is readable as far as it goes", "")

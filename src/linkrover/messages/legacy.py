@@ -19,9 +19,9 @@ from .wire import Message
 
 NO_READING = -256
 LOST_MS = -1.0
-_NOTHING_YET = -2  # what some tools of 2021 wrote before the first message
+NOTHING_YET = -2  # what some tools of 2021 wrote before the first message
 
-_ERRORS = {
+ERRORS = {
     "retransmits": "tcp_retransmits",
     "badsegments": "tcp_bad_segments",
     "udperrors": "udp_errors",
@@ -32,7 +32,7 @@ _ERRORS = {
     "nic_tx_dropped": "nic_tx_dropped",
     "nic_rx_dropped": "nic_rx_dropped",
 }
-_COUNTERS = {
+COUNTERS = {
     "tcp_tx_segments": "tcp_tx_segments",
     "tcp_rx_segments": "tcp_rx_segments",
     "udp_tx_datagrams": "udp_tx_datagrams",
@@ -59,7 +59,7 @@ def to_2021(record: Record) -> tuple[str, Message] | None:
 
 def _utilization(record: LinkUtilization) -> Message:
     message: Message = {"header": header(record.wall_ns, record.iface), "iface": record.iface}
-    for name, field in _COUNTERS.items():
+    for name, field in COUNTERS.items():
         message[name] = _or(getattr(record, field), -1)
     for name, field in _RATES.items():
         message[name] = _or(getattr(record, field), math.nan)
@@ -71,7 +71,7 @@ def _utilization(record: LinkUtilization) -> Message:
 
 def _errors(record: NetworkErrors) -> Message:
     message: Message = {"header": header(record.wall_ns, record.iface), "iface": record.iface}
-    for name, field in _ERRORS.items():
+    for name, field in ERRORS.items():
         message[name] = _or(getattr(record, field), -1)
     return message
 
@@ -134,7 +134,7 @@ def _base(message: Any, received_ns: int | None) -> dict[str, Any]:
 
 def _utilization_back(message: Any, received_ns: int | None) -> LinkUtilization:
     values = _base(message, received_ns)
-    for name, field in _COUNTERS.items():
+    for name, field in COUNTERS.items():
         values[field] = _count(get(message, name))
     for name, field in _RATES.items():
         values[field] = _rate(get(message, name))
@@ -146,7 +146,7 @@ def _utilization_back(message: Any, received_ns: int | None) -> LinkUtilization:
 
 def _errors_back(message: Any, received_ns: int | None) -> NetworkErrors:
     values = _base(message, received_ns)
-    for name, field in _ERRORS.items():
+    for name, field in ERRORS.items():
         values[field] = _count(get(message, name))
     return NetworkErrors(**values)
 
@@ -186,7 +186,7 @@ def _rate(value: Any) -> float | None:
 
 
 def _reading(value: Any) -> float | None:
-    return None if value in (NO_READING, _NOTHING_YET) else float(value)
+    return None if value in (NO_READING, NOTHING_YET) else float(value)
 
 
 _TO: dict[type[Record], tuple[str, Callable[[Any], Message]]] = {
