@@ -21,6 +21,8 @@ def report(
     out: Path | None = None,
     outage_threshold: float = 1.0,
     need: Annotated[tuple[str, ...], Parameter(negative=())] = (),
+    figures: Path | None = None,
+    figure_format: Annotated[tuple[Literal["png", "svg", "pdf"], ...], Parameter(negative=())] = ("png",),
 ) -> int:
     """Report one or several runs: tables, words, figures.
 
@@ -50,6 +52,10 @@ def report(
     need
         A need to check every set-up against, for example --need "camera: throughput >= 30" or
         --need "commands: delay.p99 <= 100, loss <= 1". May be given several times.
+    figures
+        Folder to draw every figure into as a file of its own, besides the report.
+    figure_format
+        png, svg or pdf; may be given several times.
     """
     import sys
 
@@ -68,6 +74,13 @@ def report(
     from linkrover.analysis.summary import summarise
 
     summaries = [summarise(run, method, outage_threshold_s=outage_threshold) for run in loaded]
+    if figures is not None:
+        from linkrover.report.figures import write_figures
+        from linkrover.report.views import view_of
+
+        views = [view_of(run, summary) for run, summary in zip(loaded, summaries, strict=True)]
+        for path in write_figures(views, figures, figure_format):
+            print(path)
     if format == "html":
         from linkrover.report.views import write_html
 
