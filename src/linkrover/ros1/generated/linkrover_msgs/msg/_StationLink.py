@@ -10,7 +10,7 @@ import linkrover_msgs.msg
 import std_msgs.msg
 
 class StationLink(genpy.Message):
-  _md5sum = "0482d7a9cafa853724a67c5b96ca286e"
+  _md5sum = "bb06af239500bd5560ac379a821b68bf"
   _type = "linkrover_msgs/StationLink"
   _has_header = True  # flag to mark the presence of a Header object
   _full_text = """# One peer of a wireless interface as the nl80211 station dump gives it (NL80211_STA_INFO_*).
@@ -38,6 +38,13 @@ int64 connected_s
 int64 expected_throughput_bps
 int64 tx_airtime_us
 int64 rx_airtime_us
+int8 rssi_stale  # true: inactive_ms is so large that rssi_dbm is of the past, not of now
+float64[] rssi_chain_avg_dbm
+float64 ack_rssi_avg_dbm
+int64 rx_beacons
+int8 associated
+int8 authorized
+TidCounters[] tids
 string[] unknown  # field=reason
 
 ================================================================================
@@ -66,9 +73,18 @@ int64 mcs
 int64 nss
 int64 width_mhz
 int64 guard_interval_ns
+
+================================================================================
+MSG: linkrover_msgs/TidCounters
+# Frames of one traffic identifier (NL80211_TID_STATS_*); raw counters. tid 16 = without QoS.
+int64 tid
+int64 rx_frames
+int64 tx_frames
+int64 tx_retries
+int64 tx_failed
 """
-  __slots__ = ['header','mono_ns','iface','peer','rssi_dbm','rssi_avg_dbm','rssi_chain_dbm','beacon_rssi_avg_dbm','ack_rssi_dbm','tx_bitrate','rx_bitrate','tx_packets','rx_packets','tx_bytes','rx_bytes','tx_retries','tx_failed','rx_dropped','beacon_loss','inactive_ms','connected_s','expected_throughput_bps','tx_airtime_us','rx_airtime_us','unknown']
-  _slot_types = ['std_msgs/Header','int64','string','string','float64','float64','float64[]','float64','float64','linkrover_msgs/Bitrate','linkrover_msgs/Bitrate','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','string[]']
+  __slots__ = ['header','mono_ns','iface','peer','rssi_dbm','rssi_avg_dbm','rssi_chain_dbm','beacon_rssi_avg_dbm','ack_rssi_dbm','tx_bitrate','rx_bitrate','tx_packets','rx_packets','tx_bytes','rx_bytes','tx_retries','tx_failed','rx_dropped','beacon_loss','inactive_ms','connected_s','expected_throughput_bps','tx_airtime_us','rx_airtime_us','rssi_stale','rssi_chain_avg_dbm','ack_rssi_avg_dbm','rx_beacons','associated','authorized','tids','unknown']
+  _slot_types = ['std_msgs/Header','int64','string','string','float64','float64','float64[]','float64','float64','linkrover_msgs/Bitrate','linkrover_msgs/Bitrate','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','int8','float64[]','float64','int64','int8','int8','linkrover_msgs/TidCounters[]','string[]']
 
   def __init__(self, *args, **kwds):
     """
@@ -78,7 +94,7 @@ int64 guard_interval_ns
     changes.  You cannot mix in-order arguments and keyword arguments.
 
     The available fields are:
-       header,mono_ns,iface,peer,rssi_dbm,rssi_avg_dbm,rssi_chain_dbm,beacon_rssi_avg_dbm,ack_rssi_dbm,tx_bitrate,rx_bitrate,tx_packets,rx_packets,tx_bytes,rx_bytes,tx_retries,tx_failed,rx_dropped,beacon_loss,inactive_ms,connected_s,expected_throughput_bps,tx_airtime_us,rx_airtime_us,unknown
+       header,mono_ns,iface,peer,rssi_dbm,rssi_avg_dbm,rssi_chain_dbm,beacon_rssi_avg_dbm,ack_rssi_dbm,tx_bitrate,rx_bitrate,tx_packets,rx_packets,tx_bytes,rx_bytes,tx_retries,tx_failed,rx_dropped,beacon_loss,inactive_ms,connected_s,expected_throughput_bps,tx_airtime_us,rx_airtime_us,rssi_stale,rssi_chain_avg_dbm,ack_rssi_avg_dbm,rx_beacons,associated,authorized,tids,unknown
 
     :param args: complete set of field values, in .msg order
     :param kwds: use keyword arguments corresponding to message field names
@@ -135,6 +151,20 @@ int64 guard_interval_ns
         self.tx_airtime_us = 0
       if self.rx_airtime_us is None:
         self.rx_airtime_us = 0
+      if self.rssi_stale is None:
+        self.rssi_stale = 0
+      if self.rssi_chain_avg_dbm is None:
+        self.rssi_chain_avg_dbm = []
+      if self.ack_rssi_avg_dbm is None:
+        self.ack_rssi_avg_dbm = 0.
+      if self.rx_beacons is None:
+        self.rx_beacons = 0
+      if self.associated is None:
+        self.associated = 0
+      if self.authorized is None:
+        self.authorized = 0
+      if self.tids is None:
+        self.tids = []
       if self.unknown is None:
         self.unknown = []
     else:
@@ -162,6 +192,13 @@ int64 guard_interval_ns
       self.expected_throughput_bps = 0
       self.tx_airtime_us = 0
       self.rx_airtime_us = 0
+      self.rssi_stale = 0
+      self.rssi_chain_avg_dbm = []
+      self.ack_rssi_avg_dbm = 0.
+      self.rx_beacons = 0
+      self.associated = 0
+      self.authorized = 0
+      self.tids = []
       self.unknown = []
 
   def _get_types(self):
@@ -221,7 +258,18 @@ int64 guard_interval_ns
         length = len(_x)
       buff.write(struct.Struct('<I%ss'%length).pack(length, _x))
       _x = self
-      buff.write(_get_struct_17q().pack(_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_packets, _x.rx_packets, _x.tx_bytes, _x.rx_bytes, _x.tx_retries, _x.tx_failed, _x.rx_dropped, _x.beacon_loss, _x.inactive_ms, _x.connected_s, _x.expected_throughput_bps, _x.tx_airtime_us, _x.rx_airtime_us))
+      buff.write(_get_struct_17qb().pack(_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_packets, _x.rx_packets, _x.tx_bytes, _x.rx_bytes, _x.tx_retries, _x.tx_failed, _x.rx_dropped, _x.beacon_loss, _x.inactive_ms, _x.connected_s, _x.expected_throughput_bps, _x.tx_airtime_us, _x.rx_airtime_us, _x.rssi_stale))
+      length = len(self.rssi_chain_avg_dbm)
+      buff.write(_struct_I.pack(length))
+      pattern = '<%sd'%length
+      buff.write(struct.Struct(pattern).pack(*self.rssi_chain_avg_dbm))
+      _x = self
+      buff.write(_get_struct_dq2b().pack(_x.ack_rssi_avg_dbm, _x.rx_beacons, _x.associated, _x.authorized))
+      length = len(self.tids)
+      buff.write(_struct_I.pack(length))
+      for val1 in self.tids:
+        _x = val1
+        buff.write(_get_struct_5q().pack(_x.tid, _x.rx_frames, _x.tx_frames, _x.tx_retries, _x.tx_failed))
       length = len(self.unknown)
       buff.write(_struct_I.pack(length))
       for val1 in self.unknown:
@@ -247,6 +295,8 @@ int64 guard_interval_ns
         self.tx_bitrate = linkrover_msgs.msg.Bitrate()
       if self.rx_bitrate is None:
         self.rx_bitrate = linkrover_msgs.msg.Bitrate()
+      if self.tids is None:
+        self.tids = None
       end = 0
       _x = self
       start = end
@@ -324,8 +374,31 @@ int64 guard_interval_ns
         self.rx_bitrate.mode = str[start:end]
       _x = self
       start = end
-      end += 136
-      (_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_packets, _x.rx_packets, _x.tx_bytes, _x.rx_bytes, _x.tx_retries, _x.tx_failed, _x.rx_dropped, _x.beacon_loss, _x.inactive_ms, _x.connected_s, _x.expected_throughput_bps, _x.tx_airtime_us, _x.rx_airtime_us,) = _get_struct_17q().unpack(str[start:end])
+      end += 137
+      (_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_packets, _x.rx_packets, _x.tx_bytes, _x.rx_bytes, _x.tx_retries, _x.tx_failed, _x.rx_dropped, _x.beacon_loss, _x.inactive_ms, _x.connected_s, _x.expected_throughput_bps, _x.tx_airtime_us, _x.rx_airtime_us, _x.rssi_stale,) = _get_struct_17qb().unpack(str[start:end])
+      start = end
+      end += 4
+      (length,) = _struct_I.unpack(str[start:end])
+      pattern = '<%sd'%length
+      start = end
+      s = struct.Struct(pattern)
+      end += s.size
+      self.rssi_chain_avg_dbm = s.unpack(str[start:end])
+      _x = self
+      start = end
+      end += 18
+      (_x.ack_rssi_avg_dbm, _x.rx_beacons, _x.associated, _x.authorized,) = _get_struct_dq2b().unpack(str[start:end])
+      start = end
+      end += 4
+      (length,) = _struct_I.unpack(str[start:end])
+      self.tids = []
+      for i in range(0, length):
+        val1 = linkrover_msgs.msg.TidCounters()
+        _x = val1
+        start = end
+        end += 40
+        (_x.tid, _x.rx_frames, _x.tx_frames, _x.tx_retries, _x.tx_failed,) = _get_struct_5q().unpack(str[start:end])
+        self.tids.append(val1)
       start = end
       end += 4
       (length,) = _struct_I.unpack(str[start:end])
@@ -398,7 +471,18 @@ int64 guard_interval_ns
         length = len(_x)
       buff.write(struct.Struct('<I%ss'%length).pack(length, _x))
       _x = self
-      buff.write(_get_struct_17q().pack(_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_packets, _x.rx_packets, _x.tx_bytes, _x.rx_bytes, _x.tx_retries, _x.tx_failed, _x.rx_dropped, _x.beacon_loss, _x.inactive_ms, _x.connected_s, _x.expected_throughput_bps, _x.tx_airtime_us, _x.rx_airtime_us))
+      buff.write(_get_struct_17qb().pack(_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_packets, _x.rx_packets, _x.tx_bytes, _x.rx_bytes, _x.tx_retries, _x.tx_failed, _x.rx_dropped, _x.beacon_loss, _x.inactive_ms, _x.connected_s, _x.expected_throughput_bps, _x.tx_airtime_us, _x.rx_airtime_us, _x.rssi_stale))
+      length = len(self.rssi_chain_avg_dbm)
+      buff.write(_struct_I.pack(length))
+      pattern = '<%sd'%length
+      buff.write(self.rssi_chain_avg_dbm.tostring())
+      _x = self
+      buff.write(_get_struct_dq2b().pack(_x.ack_rssi_avg_dbm, _x.rx_beacons, _x.associated, _x.authorized))
+      length = len(self.tids)
+      buff.write(_struct_I.pack(length))
+      for val1 in self.tids:
+        _x = val1
+        buff.write(_get_struct_5q().pack(_x.tid, _x.rx_frames, _x.tx_frames, _x.tx_retries, _x.tx_failed))
       length = len(self.unknown)
       buff.write(_struct_I.pack(length))
       for val1 in self.unknown:
@@ -425,6 +509,8 @@ int64 guard_interval_ns
         self.tx_bitrate = linkrover_msgs.msg.Bitrate()
       if self.rx_bitrate is None:
         self.rx_bitrate = linkrover_msgs.msg.Bitrate()
+      if self.tids is None:
+        self.tids = None
       end = 0
       _x = self
       start = end
@@ -502,8 +588,31 @@ int64 guard_interval_ns
         self.rx_bitrate.mode = str[start:end]
       _x = self
       start = end
-      end += 136
-      (_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_packets, _x.rx_packets, _x.tx_bytes, _x.rx_bytes, _x.tx_retries, _x.tx_failed, _x.rx_dropped, _x.beacon_loss, _x.inactive_ms, _x.connected_s, _x.expected_throughput_bps, _x.tx_airtime_us, _x.rx_airtime_us,) = _get_struct_17q().unpack(str[start:end])
+      end += 137
+      (_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_packets, _x.rx_packets, _x.tx_bytes, _x.rx_bytes, _x.tx_retries, _x.tx_failed, _x.rx_dropped, _x.beacon_loss, _x.inactive_ms, _x.connected_s, _x.expected_throughput_bps, _x.tx_airtime_us, _x.rx_airtime_us, _x.rssi_stale,) = _get_struct_17qb().unpack(str[start:end])
+      start = end
+      end += 4
+      (length,) = _struct_I.unpack(str[start:end])
+      pattern = '<%sd'%length
+      start = end
+      s = struct.Struct(pattern)
+      end += s.size
+      self.rssi_chain_avg_dbm = numpy.frombuffer(str[start:end], dtype=numpy.float64, count=length)
+      _x = self
+      start = end
+      end += 18
+      (_x.ack_rssi_avg_dbm, _x.rx_beacons, _x.associated, _x.authorized,) = _get_struct_dq2b().unpack(str[start:end])
+      start = end
+      end += 4
+      (length,) = _struct_I.unpack(str[start:end])
+      self.tids = []
+      for i in range(0, length):
+        val1 = linkrover_msgs.msg.TidCounters()
+        _x = val1
+        start = end
+        end += 40
+        (_x.tid, _x.rx_frames, _x.tx_frames, _x.tx_retries, _x.tx_failed,) = _get_struct_5q().unpack(str[start:end])
+        self.tids.append(val1)
       start = end
       end += 4
       (length,) = _struct_I.unpack(str[start:end])
@@ -527,12 +636,12 @@ _struct_I = genpy.struct_I
 def _get_struct_I():
     global _struct_I
     return _struct_I
-_struct_17q = None
-def _get_struct_17q():
-    global _struct_17q
-    if _struct_17q is None:
-        _struct_17q = struct.Struct("<17q")
-    return _struct_17q
+_struct_17qb = None
+def _get_struct_17qb():
+    global _struct_17qb
+    if _struct_17qb is None:
+        _struct_17qb = struct.Struct("<17qb")
+    return _struct_17qb
 _struct_2d = None
 def _get_struct_2d():
     global _struct_2d
@@ -557,6 +666,18 @@ def _get_struct_4qBq():
     if _struct_4qBq is None:
         _struct_4qBq = struct.Struct("<4qBq")
     return _struct_4qBq
+_struct_5q = None
+def _get_struct_5q():
+    global _struct_5q
+    if _struct_5q is None:
+        _struct_5q = struct.Struct("<5q")
+    return _struct_5q
+_struct_dq2b = None
+def _get_struct_dq2b():
+    global _struct_dq2b
+    if _struct_dq2b is None:
+        _struct_dq2b = struct.Struct("<dq2b")
+    return _struct_dq2b
 _struct_q = None
 def _get_struct_q():
     global _struct_q

@@ -9,7 +9,7 @@ import struct
 import std_msgs.msg
 
 class TcpConnection(genpy.Message):
-  _md5sum = "e75010d832781e0000ca02b8ef549feb"
+  _md5sum = "09289c10d7bf3b112eb8d8bc6673fbe2"
   _type = "linkrover_msgs/TcpConnection"
   _has_header = True  # flag to mark the presence of a Header object
   _full_text = """# One connection (struct tcp_info, include/uapi/linux/tcp.h). Counters are raw and of this connection only.
@@ -40,6 +40,8 @@ int64 receive_window_limited_us
 int64 send_buffer_limited_us
 int64 send_queue_bytes
 int64 receive_queue_bytes
+int64 bbr_bandwidth_bps  # what BBR believes the path carries
+int64 bbr_min_rtt_us
 string[] unknown  # field=reason
 
 ================================================================================
@@ -58,8 +60,8 @@ time stamp
 #Frame this data is associated with
 string frame_id
 """
-  __slots__ = ['header','mono_ns','iface','local','remote','state','inode','process','rtt_us','rtt_var_us','min_rtt_us','retransmits','lost','reordering','congestion_window','congestion_control','pacing_rate_bps','delivery_rate_bps','bytes_sent','bytes_acked','bytes_received','bytes_retransmitted','busy_us','receive_window_limited_us','send_buffer_limited_us','send_queue_bytes','receive_queue_bytes','unknown']
-  _slot_types = ['std_msgs/Header','int64','string','string','string','string','int64','string','int64','int64','int64','int64','int64','int64','int64','string','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','string[]']
+  __slots__ = ['header','mono_ns','iface','local','remote','state','inode','process','rtt_us','rtt_var_us','min_rtt_us','retransmits','lost','reordering','congestion_window','congestion_control','pacing_rate_bps','delivery_rate_bps','bytes_sent','bytes_acked','bytes_received','bytes_retransmitted','busy_us','receive_window_limited_us','send_buffer_limited_us','send_queue_bytes','receive_queue_bytes','bbr_bandwidth_bps','bbr_min_rtt_us','unknown']
+  _slot_types = ['std_msgs/Header','int64','string','string','string','string','int64','string','int64','int64','int64','int64','int64','int64','int64','string','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','int64','string[]']
 
   def __init__(self, *args, **kwds):
     """
@@ -69,7 +71,7 @@ string frame_id
     changes.  You cannot mix in-order arguments and keyword arguments.
 
     The available fields are:
-       header,mono_ns,iface,local,remote,state,inode,process,rtt_us,rtt_var_us,min_rtt_us,retransmits,lost,reordering,congestion_window,congestion_control,pacing_rate_bps,delivery_rate_bps,bytes_sent,bytes_acked,bytes_received,bytes_retransmitted,busy_us,receive_window_limited_us,send_buffer_limited_us,send_queue_bytes,receive_queue_bytes,unknown
+       header,mono_ns,iface,local,remote,state,inode,process,rtt_us,rtt_var_us,min_rtt_us,retransmits,lost,reordering,congestion_window,congestion_control,pacing_rate_bps,delivery_rate_bps,bytes_sent,bytes_acked,bytes_received,bytes_retransmitted,busy_us,receive_window_limited_us,send_buffer_limited_us,send_queue_bytes,receive_queue_bytes,bbr_bandwidth_bps,bbr_min_rtt_us,unknown
 
     :param args: complete set of field values, in .msg order
     :param kwds: use keyword arguments corresponding to message field names
@@ -132,6 +134,10 @@ string frame_id
         self.send_queue_bytes = 0
       if self.receive_queue_bytes is None:
         self.receive_queue_bytes = 0
+      if self.bbr_bandwidth_bps is None:
+        self.bbr_bandwidth_bps = 0
+      if self.bbr_min_rtt_us is None:
+        self.bbr_min_rtt_us = 0
       if self.unknown is None:
         self.unknown = []
     else:
@@ -162,6 +168,8 @@ string frame_id
       self.send_buffer_limited_us = 0
       self.send_queue_bytes = 0
       self.receive_queue_bytes = 0
+      self.bbr_bandwidth_bps = 0
+      self.bbr_min_rtt_us = 0
       self.unknown = []
 
   def _get_types(self):
@@ -227,7 +235,7 @@ string frame_id
         length = len(_x)
       buff.write(struct.Struct('<I%ss'%length).pack(length, _x))
       _x = self
-      buff.write(_get_struct_11q().pack(_x.pacing_rate_bps, _x.delivery_rate_bps, _x.bytes_sent, _x.bytes_acked, _x.bytes_received, _x.bytes_retransmitted, _x.busy_us, _x.receive_window_limited_us, _x.send_buffer_limited_us, _x.send_queue_bytes, _x.receive_queue_bytes))
+      buff.write(_get_struct_13q().pack(_x.pacing_rate_bps, _x.delivery_rate_bps, _x.bytes_sent, _x.bytes_acked, _x.bytes_received, _x.bytes_retransmitted, _x.busy_us, _x.receive_window_limited_us, _x.send_buffer_limited_us, _x.send_queue_bytes, _x.receive_queue_bytes, _x.bbr_bandwidth_bps, _x.bbr_min_rtt_us))
       length = len(self.unknown)
       buff.write(_struct_I.pack(length))
       for val1 in self.unknown:
@@ -329,8 +337,8 @@ string frame_id
         self.congestion_control = str[start:end]
       _x = self
       start = end
-      end += 88
-      (_x.pacing_rate_bps, _x.delivery_rate_bps, _x.bytes_sent, _x.bytes_acked, _x.bytes_received, _x.bytes_retransmitted, _x.busy_us, _x.receive_window_limited_us, _x.send_buffer_limited_us, _x.send_queue_bytes, _x.receive_queue_bytes,) = _get_struct_11q().unpack(str[start:end])
+      end += 104
+      (_x.pacing_rate_bps, _x.delivery_rate_bps, _x.bytes_sent, _x.bytes_acked, _x.bytes_received, _x.bytes_retransmitted, _x.busy_us, _x.receive_window_limited_us, _x.send_buffer_limited_us, _x.send_queue_bytes, _x.receive_queue_bytes, _x.bbr_bandwidth_bps, _x.bbr_min_rtt_us,) = _get_struct_13q().unpack(str[start:end])
       start = end
       end += 4
       (length,) = _struct_I.unpack(str[start:end])
@@ -409,7 +417,7 @@ string frame_id
         length = len(_x)
       buff.write(struct.Struct('<I%ss'%length).pack(length, _x))
       _x = self
-      buff.write(_get_struct_11q().pack(_x.pacing_rate_bps, _x.delivery_rate_bps, _x.bytes_sent, _x.bytes_acked, _x.bytes_received, _x.bytes_retransmitted, _x.busy_us, _x.receive_window_limited_us, _x.send_buffer_limited_us, _x.send_queue_bytes, _x.receive_queue_bytes))
+      buff.write(_get_struct_13q().pack(_x.pacing_rate_bps, _x.delivery_rate_bps, _x.bytes_sent, _x.bytes_acked, _x.bytes_received, _x.bytes_retransmitted, _x.busy_us, _x.receive_window_limited_us, _x.send_buffer_limited_us, _x.send_queue_bytes, _x.receive_queue_bytes, _x.bbr_bandwidth_bps, _x.bbr_min_rtt_us))
       length = len(self.unknown)
       buff.write(_struct_I.pack(length))
       for val1 in self.unknown:
@@ -512,8 +520,8 @@ string frame_id
         self.congestion_control = str[start:end]
       _x = self
       start = end
-      end += 88
-      (_x.pacing_rate_bps, _x.delivery_rate_bps, _x.bytes_sent, _x.bytes_acked, _x.bytes_received, _x.bytes_retransmitted, _x.busy_us, _x.receive_window_limited_us, _x.send_buffer_limited_us, _x.send_queue_bytes, _x.receive_queue_bytes,) = _get_struct_11q().unpack(str[start:end])
+      end += 104
+      (_x.pacing_rate_bps, _x.delivery_rate_bps, _x.bytes_sent, _x.bytes_acked, _x.bytes_received, _x.bytes_retransmitted, _x.busy_us, _x.receive_window_limited_us, _x.send_buffer_limited_us, _x.send_queue_bytes, _x.receive_queue_bytes, _x.bbr_bandwidth_bps, _x.bbr_min_rtt_us,) = _get_struct_13q().unpack(str[start:end])
       start = end
       end += 4
       (length,) = _struct_I.unpack(str[start:end])
@@ -537,12 +545,12 @@ _struct_I = genpy.struct_I
 def _get_struct_I():
     global _struct_I
     return _struct_I
-_struct_11q = None
-def _get_struct_11q():
-    global _struct_11q
-    if _struct_11q is None:
-        _struct_11q = struct.Struct("<11q")
-    return _struct_11q
+_struct_13q = None
+def _get_struct_13q():
+    global _struct_13q
+    if _struct_13q is None:
+        _struct_13q = struct.Struct("<13q")
+    return _struct_13q
 _struct_3I = None
 def _get_struct_3I():
     global _struct_3I

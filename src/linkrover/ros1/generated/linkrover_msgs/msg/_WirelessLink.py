@@ -10,7 +10,7 @@ import linkrover_msgs.msg
 import std_msgs.msg
 
 class WirelessLink(genpy.Message):
-  _md5sum = "2624484cc61999c85ef4ef68a60fb1ac"
+  _md5sum = "26c0b66b901470f36266b52d1e200df2"
   _type = "linkrover_msgs/WirelessLink"
   _has_header = True  # flag to mark the presence of a Header object
   _full_text = """# Signal and link state of one interface; on an access point, of one associated peer.
@@ -37,6 +37,8 @@ int64 tx_failed  # frames given up after all retries
 int64 missed_beacons
 int64 inactive_ms  # age of the last frame from the peer: an old RSSI is old by this much
 int8 power_save
+int8 rssi_stale  # true: inactive_ms is so large that rssi_dbm is of the past, not of now
+string regulatory_domain  # ISO 3166 code, "00" = world (unset)
 string[] unknown  # field=reason
 
 ================================================================================
@@ -66,8 +68,8 @@ int64 nss
 int64 width_mhz
 int64 guard_interval_ns
 """
-  __slots__ = ['header','mono_ns','iface','source','connected','mode','peer','ssid','bssid','frequency_mhz','width_mhz','tx_power_dbm','rssi_dbm','rssi_avg_dbm','noise_dbm','link_quality','link_quality_max','tx_bitrate','rx_bitrate','tx_failed','missed_beacons','inactive_ms','power_save','unknown']
-  _slot_types = ['std_msgs/Header','int64','string','string','int8','string','string','string','string','int64','int64','float64','float64','float64','float64','float64','float64','linkrover_msgs/Bitrate','linkrover_msgs/Bitrate','int64','int64','int64','int8','string[]']
+  __slots__ = ['header','mono_ns','iface','source','connected','mode','peer','ssid','bssid','frequency_mhz','width_mhz','tx_power_dbm','rssi_dbm','rssi_avg_dbm','noise_dbm','link_quality','link_quality_max','tx_bitrate','rx_bitrate','tx_failed','missed_beacons','inactive_ms','power_save','rssi_stale','regulatory_domain','unknown']
+  _slot_types = ['std_msgs/Header','int64','string','string','int8','string','string','string','string','int64','int64','float64','float64','float64','float64','float64','float64','linkrover_msgs/Bitrate','linkrover_msgs/Bitrate','int64','int64','int64','int8','int8','string','string[]']
 
   def __init__(self, *args, **kwds):
     """
@@ -77,7 +79,7 @@ int64 guard_interval_ns
     changes.  You cannot mix in-order arguments and keyword arguments.
 
     The available fields are:
-       header,mono_ns,iface,source,connected,mode,peer,ssid,bssid,frequency_mhz,width_mhz,tx_power_dbm,rssi_dbm,rssi_avg_dbm,noise_dbm,link_quality,link_quality_max,tx_bitrate,rx_bitrate,tx_failed,missed_beacons,inactive_ms,power_save,unknown
+       header,mono_ns,iface,source,connected,mode,peer,ssid,bssid,frequency_mhz,width_mhz,tx_power_dbm,rssi_dbm,rssi_avg_dbm,noise_dbm,link_quality,link_quality_max,tx_bitrate,rx_bitrate,tx_failed,missed_beacons,inactive_ms,power_save,rssi_stale,regulatory_domain,unknown
 
     :param args: complete set of field values, in .msg order
     :param kwds: use keyword arguments corresponding to message field names
@@ -132,6 +134,10 @@ int64 guard_interval_ns
         self.inactive_ms = 0
       if self.power_save is None:
         self.power_save = 0
+      if self.rssi_stale is None:
+        self.rssi_stale = 0
+      if self.regulatory_domain is None:
+        self.regulatory_domain = ''
       if self.unknown is None:
         self.unknown = []
     else:
@@ -158,6 +164,8 @@ int64 guard_interval_ns
       self.missed_beacons = 0
       self.inactive_ms = 0
       self.power_save = 0
+      self.rssi_stale = 0
+      self.regulatory_domain = ''
       self.unknown = []
 
   def _get_types(self):
@@ -237,7 +245,13 @@ int64 guard_interval_ns
         length = len(_x)
       buff.write(struct.Struct('<I%ss'%length).pack(length, _x))
       _x = self
-      buff.write(_get_struct_7qb().pack(_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_failed, _x.missed_beacons, _x.inactive_ms, _x.power_save))
+      buff.write(_get_struct_7q2b().pack(_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_failed, _x.missed_beacons, _x.inactive_ms, _x.power_save, _x.rssi_stale))
+      _x = self.regulatory_domain
+      length = len(_x)
+      if python3 or type(_x) == unicode:
+        _x = _x.encode('utf-8')
+        length = len(_x)
+      buff.write(struct.Struct('<I%ss'%length).pack(length, _x))
       length = len(self.unknown)
       buff.write(_struct_I.pack(length))
       for val1 in self.unknown:
@@ -367,8 +381,17 @@ int64 guard_interval_ns
         self.rx_bitrate.mode = str[start:end]
       _x = self
       start = end
-      end += 57
-      (_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_failed, _x.missed_beacons, _x.inactive_ms, _x.power_save,) = _get_struct_7qb().unpack(str[start:end])
+      end += 58
+      (_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_failed, _x.missed_beacons, _x.inactive_ms, _x.power_save, _x.rssi_stale,) = _get_struct_7q2b().unpack(str[start:end])
+      start = end
+      end += 4
+      (length,) = _struct_I.unpack(str[start:end])
+      start = end
+      end += length
+      if python3:
+        self.regulatory_domain = str[start:end].decode('utf-8', 'rosmsg')
+      else:
+        self.regulatory_domain = str[start:end]
       start = end
       end += 4
       (length,) = _struct_I.unpack(str[start:end])
@@ -461,7 +484,13 @@ int64 guard_interval_ns
         length = len(_x)
       buff.write(struct.Struct('<I%ss'%length).pack(length, _x))
       _x = self
-      buff.write(_get_struct_7qb().pack(_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_failed, _x.missed_beacons, _x.inactive_ms, _x.power_save))
+      buff.write(_get_struct_7q2b().pack(_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_failed, _x.missed_beacons, _x.inactive_ms, _x.power_save, _x.rssi_stale))
+      _x = self.regulatory_domain
+      length = len(_x)
+      if python3 or type(_x) == unicode:
+        _x = _x.encode('utf-8')
+        length = len(_x)
+      buff.write(struct.Struct('<I%ss'%length).pack(length, _x))
       length = len(self.unknown)
       buff.write(_struct_I.pack(length))
       for val1 in self.unknown:
@@ -592,8 +621,17 @@ int64 guard_interval_ns
         self.rx_bitrate.mode = str[start:end]
       _x = self
       start = end
-      end += 57
-      (_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_failed, _x.missed_beacons, _x.inactive_ms, _x.power_save,) = _get_struct_7qb().unpack(str[start:end])
+      end += 58
+      (_x.rx_bitrate.mcs, _x.rx_bitrate.nss, _x.rx_bitrate.width_mhz, _x.rx_bitrate.guard_interval_ns, _x.tx_failed, _x.missed_beacons, _x.inactive_ms, _x.power_save, _x.rssi_stale,) = _get_struct_7q2b().unpack(str[start:end])
+      start = end
+      end += 4
+      (length,) = _struct_I.unpack(str[start:end])
+      start = end
+      end += length
+      if python3:
+        self.regulatory_domain = str[start:end].decode('utf-8', 'rosmsg')
+      else:
+        self.regulatory_domain = str[start:end]
       start = end
       end += 4
       (length,) = _struct_I.unpack(str[start:end])
@@ -635,12 +673,12 @@ def _get_struct_4qBq():
     if _struct_4qBq is None:
         _struct_4qBq = struct.Struct("<4qBq")
     return _struct_4qBq
-_struct_7qb = None
-def _get_struct_7qb():
-    global _struct_7qb
-    if _struct_7qb is None:
-        _struct_7qb = struct.Struct("<7qb")
-    return _struct_7qb
+_struct_7q2b = None
+def _get_struct_7q2b():
+    global _struct_7q2b
+    if _struct_7q2b is None:
+        _struct_7q2b = struct.Struct("<7q2b")
+    return _struct_7q2b
 _struct_b = None
 def _get_struct_b():
     global _struct_b
