@@ -224,9 +224,8 @@ class Medium:
 
     def advance(self, now_ns: int) -> list[Fate]:
         """Let everything happen that is due by now_ns, and return the fates since the last call."""
-        if now_ns > self._now:
-            self._run(now_ns)
-            self._now = now_ns
+        self._run(now_ns)
+        self._now = max(self._now, now_ns)
         if not self._out:
             return []
         out, self._out = self._out, []

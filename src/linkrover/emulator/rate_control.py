@@ -27,7 +27,7 @@ class RateController:
         overhead_ns: int = 200_000,
         update_ns: int = 50_000_000,
         weight: float = 0.75,
-        sample_every: int = 16,
+        sample_every: int = 12,
     ) -> None:
         self._rates = tuple(rates_bps)
         self._rng = rng
@@ -65,12 +65,13 @@ class RateController:
         return self.last
 
     def _sample(self) -> int:
-        """A neighbour that could be better: one or two above the best, now and then one below."""
+        """A neighbour that could be better: one below the best or up to two above, those never tried first."""
         top = len(self._rates) - 1
-        low = max(0, self.best - 1)
-        high = min(top, self.best + 2)
-        choice = self._rng.randint(low, high)
-        return choice if choice != self.best else min(top, self.best + 1)
+        near = [i for i in (self.best - 1, self.best + 1, self.best + 2) if 0 <= i <= top]
+        if not near:
+            return self.best
+        untried = [index for index in near if self.probability[index] is None]
+        return untried[0] if untried else self._rng.choice(near)
 
     def report(self, now_ns: int, mcs: int, attempts: int, successes: int) -> None:
         """What became of a transmission: frames sent, frames acknowledged."""
@@ -93,6 +94,8 @@ class RateController:
         order = sorted(range(len(expected)), key=expected.__getitem__, reverse=True)
         self.best = order[0]
         self.second = order[1] if len(order) > 1 else order[0]
+        if self.probability[self.second] is None:
+            self.second = max(0, self.best - 1)
         known = [index for index, p in enumerate(self.probability) if p is not None and p >= 0.95]
         if known:
             self.safest = max(known)

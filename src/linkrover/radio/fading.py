@@ -6,6 +6,7 @@ place and time, so that coming back to a place finds the same shadow, and real t
 
 from __future__ import annotations
 
+import functools
 import math
 import random
 from collections.abc import Sequence
@@ -109,6 +110,7 @@ def _interpolate(table: Sequence[float], normal: float) -> float:
     return table[index] * (1.0 - rest) + table[index + 1] * rest
 
 
+@functools.cache
 def gamma_quantiles_db(m: float) -> tuple[float, ...]:
     """10 log10 of the Gamma(m, 1/m) quantile at the probability of each standard normal value of the grid."""
     count = round((_GRID_HIGH - _GRID_LOW) / _GRID_STEP) + 1
