@@ -90,7 +90,6 @@ def print_agreement(console: Console, agreement: Agreement) -> None:
     table.add_column("figure", no_wrap=True)
     for heading in ("measured", "true"):
         table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
     table.add_column("difference", justify="right", no_wrap=True)
     table.add_column("limit", no_wrap=True)
     for figure in agreement.figures:
@@ -98,10 +97,9 @@ def print_agreement(console: Console, agreement: Agreement) -> None:
         known = figure.difference is not None
         digits = 0 if unit == "samples" else 2
         table.add_row(
-            figure.what,
+            f"{figure.what}, {figure.unit}",
             "-" if figure.measured is None else f"{figure.measured:.3f}",
             "-" if figure.true is None else f"{figure.true:.3f}",
-            figure.unit,
             f"{figure.difference:+.{digits}f} {unit}" if known else "-",
             (f"{figure.limit:g} {unit}" + (": DIFFERS" if figure.agrees is False else "")) if known else figure.note,
             style="red" if figure.agrees is False else None,

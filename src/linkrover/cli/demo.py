@@ -60,24 +60,26 @@ def demo(
     from linkrover.emulator.netns import NotPermittedError, become_namespace_root
     from linkrover.emulator.robot import OUT_AND_BACK
     from linkrover.emulator.world import WorldSettings
-    from linkrover.experiment.trial import refuse_to_overwrite, run_trial
+    from linkrover.experiment.trial import refuse_to_overwrite, run_trial, run_virtual_trial
 
     setup = presets.find(case)
     out = out or Path(f"linkrover-demo-{time.strftime('%Y%m%d-%H%M%S')}")
     refuse_to_overwrite(out)
+    settings = WorldSettings(case=setup, seed=seed, route=OUT_AND_BACK.fitted(duration), run=out.name)
+    run, how = run_trial, "two hosts of this machine"
     try:
-        as_user = become_namespace_root()
+        if become_namespace_root():
+            how += " (in a user namespace)"
     except NotPermittedError as error:
-        console.print(f"{error}.\nUntil then: in virtual time, the same model without packets.", soft_wrap=True)
-        raise
+        console.print(f"{error}.", soft_wrap=True)
+        console.print("Until then: in virtual time, the same models without packets. The report says so too.")
+        run, how = run_virtual_trial, "two simulated hosts"
     console.print(
-        f"Robot and station as two hosts of this machine{' (in a user namespace)' if as_user else ''}, joined by an "
-        f"emulated link: case {setup.name}, {duration:g} s, seed {seed}.",
+        f"Robot and station as {how}, joined by an emulated link: case {setup.name}, {duration:g} s, seed {seed}.",
         soft_wrap=True,
     )
-    settings = WorldSettings(case=setup, seed=seed, route=OUT_AND_BACK.fitted(duration), run=out.name)
     with interruptible(), progress(console) as show:
-        outcome = run_trial(settings, out, duration_s=duration, show=show)
+        outcome = run(settings, out, duration_s=duration, show=show)
     for note in outcome.notes:
         console.print(f"Note: {note}.", soft_wrap=True)
     return _finish(console, out, outcome, json)

@@ -162,6 +162,7 @@ def _throughput(end: str, direction: str, records: Sequence[Record], truth: _Tru
 
 def _probes(end: str, probes: Sequence[ProbeResult], truth: _Truth, deadline_ns: int) -> list[Figure]:
     there, back = ("forward", "back") if end == "robot" else ("back", "forward")
+    whose = "" if end == "robot" else f" (from {end})"
     lost = lost_truly = unseen = known = 0
     rtts, true_rtts = [], []
     for probe in probes:
@@ -184,13 +185,13 @@ def _probes(end: str, probes: Sequence[ProbeResult], truth: _Truth, deadline_ns:
     if known:
         share, true_share = 100 * lost / known, 100 * lost_truly / known
         figures.append(
-            Figure(f"{end}'s probes lost", "%", share, true_share, share - true_share, "points",
+            Figure(f"probes lost{whose}", "%", share, true_share, share - true_share, "points",
                    LOSS_LIMIT_POINTS, known, note)
         )  # fmt: skip
     if rtts:
         value, true_value = median(rtts) / 1e6, median(true_rtts) / 1e6
         figures.append(
-            Figure(f"{end}'s median round trip", "ms", value, true_value, value - true_value, "ms",
+            Figure(f"median round trip{whose}", "ms", value, true_value, value - true_value, "ms",
                    DELAY_LIMIT_MS, len(rtts))
         )  # fmt: skip
     return figures
@@ -209,5 +210,5 @@ def _rssi(end: str, records: Sequence[Record], truth: _Truth) -> Figure:
         value if round(value) in levels else next((x for x in levels if x is not None), value)
         for value, levels in with_level
     ) / len(with_level)
-    return Figure(what, "dBm mean", mean, true_mean, float(wrong), "samples", RSSI_LIMIT, len(shown),
+    return Figure(what, "mean dBm", mean, true_mean, float(wrong), "samples", RSSI_LIMIT, len(shown),
                   "samples that differ from the driver's text")  # fmt: skip

@@ -188,6 +188,60 @@ def run_trial(
     return outcome
 
 
+def run_virtual_trial(
+    settings: WorldSettings,
+    out: Path,
+    *,
+    duration_s: float | None,
+    show: Callable[[View], None] = lambda _view: None,
+) -> Outcome:
+    """The same trial in virtual time: the same models, no packets, no permission needed; marked as simulated.
+
+    Raises:
+        LinkRoverError: `out` holds a run already, or cannot be written.
+    """
+    from linkrover.emulator.virtual import VirtualSettings, run
+
+    refuse_to_overwrite(out)
+    out.mkdir(parents=True, exist_ok=True)
+    total_s = duration_s if duration_s is not None else settings.route.nominal_s(settings.drive) + 3
+    view = View(0.0, total_s, "simulating")
+
+    def progress(share: float) -> None:
+        view.elapsed_s = share * total_s
+        show(view)
+
+    run(
+        settings.case,
+        0 if settings.trial is None else settings.trial,
+        settings.seed,
+        duration_s,
+        out,
+        settings=VirtualSettings(
+            route=settings.route,
+            drive=settings.drive,
+            traffic=settings.traffic,
+            access_point_shows_signal=settings.access_point_shows_signal,
+        ),
+        progress=progress,
+    )
+    view.stage = "checking"
+    show(view)
+    agreement = check_agreement(out)
+    outcome = Outcome(
+        case=settings.case.name,
+        trial=settings.trial,
+        seed=settings.seed,
+        seconds=total_s,
+        simulated=True,
+        interrupted=False,
+        drive_done=True,
+        agreement=agreement,
+    )
+    save_outcome(out, outcome)
+    return outcome
+
+
 def check_agreement(out: Path) -> Agreement:
     """Measured against true, from the recordings of a finished run."""
     from linkrover.bag.reading import read_recording
