@@ -230,9 +230,9 @@ def delay_figures(probes: Probes | None, window: Window, run: Run, *, details: b
         p99=p99,
         max=float(ordered[-1]),
         mean_ci95=interval,
-        median_ci95=quantile_ci95(ordered, 0.5, ess),
-        p95_ci95=quantile_ci95(ordered, 0.95, ess),
-        p99_ci95=quantile_ci95(ordered, 0.99, ess),
+        median_ci95=quantile_ci95(answered, 0.5),
+        p95_ci95=quantile_ci95(answered, 0.95),
+        p99_ci95=quantile_ci95(answered, 0.99),
         ess=ess,
         autocorrelation_probes=tau,
         **extra,  # type: ignore[arg-type]

@@ -127,12 +127,21 @@ def mean_ci95(values: Floats) -> tuple[tuple[float, float] | None, float, float]
     return ratio_ci95(values, np.ones(len(values)))
 
 
-def quantile_ci95(ordered: Floats, probability: float, ess: float) -> tuple[float, float] | None:
-    """Interval of a quantile from order statistics, with the effective instead of the nominal sample size."""
+def quantile_ci95(values: Floats, probability: float) -> tuple[float, float] | None:
+    """95 % interval of a quantile of a correlated series, from order statistics.
+
+    The effective sample size is that of the indicator "below the quantile", whose mean's spread is what moves it.
+    """
     import math
 
-    n = len(ordered)
-    if n < 8 or ess < 4:
+    import numpy as np
+
+    n = len(values)
+    if n < 8:
+        return None
+    ordered = np.sort(values)
+    ess = effective_size((values <= np.quantile(ordered, probability)).astype(np.float64))
+    if ess < 4:
         return None
     half = 1.96 * math.sqrt(probability * (1 - probability) / ess)
     low, high = probability - half, probability + half
