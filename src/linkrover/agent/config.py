@@ -163,7 +163,7 @@ def _check_keys(tree: dict[str, Any], kind: type[msgspec.Struct], file: str, pre
     fields = {field.name: field.type for field in msgspec.structs.fields(kind)}
     for key, value in tree.items():
         if key not in fields:
-            near = difflib.get_close_matches(key, fields, n=1, cutoff=0.5) or _elsewhere(key)
+            near = _elsewhere(key) or difflib.get_close_matches(key, fields, n=1, cutoff=0.5)
             hint = f"; did you mean '{near[0]}'?" if near else f"; allowed are: {', '.join(fields)}"
             raise ConfigError(f"{file}: unknown key '{prefix}{key}'{hint}")
         inner = fields[key]

@@ -9,6 +9,7 @@ import os
 import socket
 import stat
 import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -22,6 +23,7 @@ FedRecord = Pose | VelocityCommand | LinkEvent | NetworkDelay | TopicTraffic
 
 _DATAGRAM_MOST = 65536
 _AT_ONCE = 256
+_WAITING_MOST = 1000
 _FIELDS = {
     kind.__name__: {"type"} | {field.name for field in msgspec.structs.fields(kind)}
     for kind in (Pose, VelocityCommand, LinkEvent, NetworkDelay, TopicTraffic)
@@ -118,23 +120,41 @@ class FeedReceiver:
 
 
 class FeedSender:
-    """Hands records to an agent's feed; never blocks. Usable before the agent is there and after it has gone."""
+    """Hands records to an agent's feed; never blocks. Usable before the agent is there and after it has gone.
+
+    The kernel queues about ten datagrams (net.unix.max_dgram_qlen): what an agent that is busy for a moment cannot
+    take is kept here, up to 1000 records, and goes with the next one. Without an agent records are dropped.
+    """
 
     def __init__(self, path: str) -> None:
         self.path = path
         self.sent = 0
         self.dropped = 0
+        self._waiting: deque[bytes] = deque()
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK | socket.SOCK_CLOEXEC)
 
     def send(self, record: Record) -> bool:
-        """True when the agent's socket took it."""
-        try:
-            self._socket.sendto(msgspec.json.encode(record), self.path)
-        except OSError:
-            # no agent there, or its queue is full: a robot's control loop must not wait for its meter
+        """True when the agent's socket has taken this record and all before it."""
+        self._waiting.append(msgspec.json.encode(record))
+        if len(self._waiting) > _WAITING_MOST:
+            self._waiting.popleft()
             self.dropped += 1
+        return self.flush()
+
+    def flush(self) -> bool:
+        """Try to hand over what waits; True when nothing does any more."""
+        try:
+            while self._waiting:
+                self._socket.sendto(self._waiting[0], self.path)
+                self._waiting.popleft()
+                self.sent += 1
+        except BlockingIOError:
             return False
-        self.sent += 1
+        except OSError:
+            # no agent there: a robot's control loop must neither wait for its meter nor fail without it
+            self.dropped += len(self._waiting)
+            self._waiting.clear()
+            return False
         return True
 
     def close(self) -> None:
