@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -97,6 +98,20 @@ def stationary_bootstrap_ratio(
             out[i, begin : begin + rows] = (running[i][starts + lengths] - running[i][starts]).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(out[0] / out[1], dtype=np.float64)
+
+
+def stationary_indices(n: int, block: float, replicates: int, seed: int = SEED) -> Iterator[NDArray[np.intp]]:
+    """Sample numbers of each replicate of the stationary bootstrap, for statistics other than sums."""
+    import numpy as np
+
+    generator = np.random.default_rng(seed)
+    p = 1.0 / min(max(block, 1.0), n)
+    steps = np.arange(n)
+    for _ in range(replicates):
+        fresh = generator.random(n) < p
+        fresh[0] = True
+        start = np.maximum.accumulate(np.where(fresh, steps, 0))
+        yield (generator.integers(0, n, n)[start] + steps - start) % n
 
 
 def ratio_ci95(numerator: Floats, denominator: Floats) -> tuple[tuple[float, float] | None, float, float]:

@@ -58,7 +58,21 @@ def comparison_sections(
     """Set-ups side by side, and what may be said about their differences."""
     if len(summaries) < 2 and summaries[0].method != "pandey2022":
         return []
-    return [Section("Set-ups side by side", [], [table_two(summaries), table_three(summaries)])]
+    from linkrover.analysis.effects import factor_effects, holm
+    from linkrover.analysis.matching import still_effects
+
+    from .comparison import case_key, case_table, effect_table, effect_words
+
+    ordered = sorted(summaries, key=lambda s: (*case_key(s.case or ""), s.trial or 0))
+    side = Section("Set-ups side by side", [], [table_two(ordered), table_three(ordered)])
+    sections = [side]
+    if len(summaries) > 1 and all(s.method == "linkrover" for s in summaries):
+        if (cases := case_table(ordered)) is not None:
+            side.tables.append(cases)
+        effects = holm([*factor_effects(summaries), *still_effects(runs)])
+        table = effect_table(effects)
+        sections.append(Section("What the set-ups change", effect_words(effects), [table] if table else []))
+    return sections
 
 
 def outage_table(summary: RunSummary) -> Table:
