@@ -294,7 +294,8 @@ class Nl80211:
         if state.ssid_of != bssid or state.info is None or state.info.ssid is None:
             found = scan_results(self._nl, state.index)
             state.ssid_of = bssid
-            return next((one.ssid for one in found if one.bssid == bssid or one.associated), None)
+            # The list may hold the same BSSID twice, with the SSID it had before.
+            return next((one.ssid for one in found if one.associated), None)
         return state.info.ssid
 
     def _with_utilization(self, state: _Interface, survey: ChannelSurvey) -> ChannelSurvey:

@@ -164,7 +164,7 @@ class LinkTimeline:
         if raw.timed_out or raw.status:
             why = "timed out" if raw.timed_out else f"refused with status {raw.status}"
             return [self._event(at, EventKind.DISCONNECTED, f"joining {why}", bssid=raw.mac, reason_code=None)]
-        gap_ns = None if self._lost_ns is None else at.mono_ns - self._lost_ns
+        gap_ns = _since(self._lost_ns, at)
         before = self._bssid or self._previous
         roamed = before is not None and raw.mac != before and (gap_ns or 0) <= ROAM_WITHIN_NS
         self._bssid, self._previous, self._lost_ns = raw.mac, None, None
@@ -197,7 +197,7 @@ class LinkTimeline:
             self._left_ns[raw.mac] = at.mono_ns
             return [self._event(at, EventKind.PEER_LEFT, "", peer=raw.mac, rssi_dbm=raw.rssi_dbm)]
         left_ns = self._left_ns.pop(raw.mac, None)
-        gap_ns = None if left_ns is None else at.mono_ns - left_ns
+        gap_ns = _since(left_ns, at)
         detail = "" if gap_ns is None else f"back after {gap_ns / 1e9:.3g} s"
         return [self._event(at, EventKind.PEER_JOINED, detail, peer=raw.mac, rssi_dbm=raw.rssi_dbm, gap_ns=gap_ns)]
 
@@ -218,7 +218,7 @@ class LinkTimeline:
         if raw.command == TRIGGER_SCAN:
             self._scan_ns = at.mono_ns
             return []
-        took_ns = None if self._scan_ns is None else at.mono_ns - self._scan_ns
+        took_ns = _since(self._scan_ns, at)
         self._scan_ns = None
         ended = "aborted" if raw.command == SCAN_ABORTED else "done"
         detail = ended if took_ns is None else f"{ended}, took {took_ns / 1e9:.3g} s, on and off the channel"
@@ -254,6 +254,11 @@ class LinkTimeline:
             rssi_dbm=rssi_dbm,
             gap_ns=gap_ns,
         )
+
+
+def _since(then_ns: int | None, at: Now) -> int | None:
+    """Time since an earlier message; None where both were read at once, so that their distance is not known."""
+    return None if then_ns is None or at.mono_ns == then_ns else at.mono_ns - then_ns
 
 
 class RadioEvents:

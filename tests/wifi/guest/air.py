@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import select
 import socket
 import subprocess
 import time
@@ -76,21 +77,15 @@ class Radio:
         run("iw", "phy", self.phy, "set", "netns", "name", ns)
 
     def level(self, dbm: int) -> None:
-        """Peers hear this radio at `dbm`, whatever its tx power is set to (it is 0 dBm by rx_rssi alone)."""
-        (DEBUG / self.phy / "hwsim" / "rx_rssi").write_text(str((dbm - self.tx_power_dbm()) % 2**64))
-
-    def tx_power_dbm(self) -> int:
-        """What the driver sends with, dBm."""
-        text = run("iw", "dev", self.iface, "info", ns=self.ns)
-        for line in text.splitlines():
-            if "txpower" in line:
-                return round(float(line.split()[1]))
-        return 0
+        """Peers hear this radio at `dbm`, -100 to -1: its tx power is fixed at 0 dBm, and the rest is rx_rssi."""
+        (DEBUG / self.phy / "hwsim" / "rx_rssi").write_text(str(dbm % 2**64))
 
     def address(self, address: str) -> None:
         """Give it an IPv4 address and bring it up."""
         run("ip", "address", "replace", address, "dev", self.iface, ns=self.ns)
         run("ip", "link", "set", self.iface, "up", ns=self.ns)
+        run("iw", "dev", self.iface, "set", "txpower", "fixed", 0, ns=self.ns)
+        self.level(-30)
 
 
 class Daemon:
@@ -272,6 +267,7 @@ class Ear:
         """The first event of a kind that was not asked for yet; it and all before it are taken off."""
 
         def first() -> LinkEvent | None:
+            select.select([self.events], [], [], 0.5)  # read at once, so that the times are right
             return next((event for event in self.listen() if event.kind is kind), None)
 
         try:

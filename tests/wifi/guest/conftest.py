@@ -47,8 +47,10 @@ def spare(all_radios: list[Radio]) -> Radio:
 
 
 @pytest.fixture(scope="module")
-def air(tmp_path_factory: pytest.TempPathFactory, all_radios: list[Radio]) -> Iterator[Air]:
-    made = Air(Path(tmp_path_factory.mktemp("air")))
+def air(request: pytest.FixtureRequest, all_radios: list[Radio]) -> Iterator[Air]:
+    folder = Path("/result/logs") / request.module.__name__.rpartition(".")[2]  # a reader of a failure wants them
+    folder.mkdir(parents=True)
+    made = Air(folder)
     yield made
     made.close()
     for radio in all_radios[:4]:

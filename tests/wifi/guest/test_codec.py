@@ -37,8 +37,9 @@ def link(air: Air, robot: Radio, station: Radio, eyes: dict[str, Eye]) -> None:
 
 def _settled(eye: Eye) -> bool:
     first = eye.read().stations[0]
-    time.sleep(0.25)  # two beacons
-    return eye.read().stations[0].beacon_rssi_avg_dbm == first.beacon_rssi_avg_dbm == first.rssi_dbm
+    time.sleep(0.4)  # a few beacons
+    second = eye.read().stations[0]
+    return (first.rssi_avg_dbm, first.beacon_rssi_avg_dbm) == (second.rssi_avg_dbm, second.beacon_rssi_avg_dbm)
 
 
 @pytest.mark.parametrize("end", ["robot", "station"])
@@ -104,6 +105,7 @@ def test_power_save_is_followed(station: Radio, eyes: dict[str, Eye]):
 
 
 def test_survey_agrees_with_iw_and_noise_is_negative(station: Radio, eyes: dict[str, Eye]):
+    run("iw", "dev", station.iface, "scan", "freq", 2412, 5180, ns="station")  # this driver surveys what it scans
     ours = eyes["station"].read().surveys
     theirs = surveys(run("iw", "dev", station.iface, "survey", "dump", ns="station"))
     assert len(ours) == len(theirs) > 0
