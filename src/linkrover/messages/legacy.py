@@ -20,6 +20,8 @@ from .wire import Message
 NO_READING = -256
 LOST_MS = -1.0
 NOTHING_YET = -2  # what some tools of 2021 wrote before the first message
+_INT32_END = 2**31 - 1
+_FLOAT32_MAX = 3.4e38
 
 ERRORS = {
     "retransmits": "tcp_retransmits",
@@ -84,7 +86,7 @@ def _wireless(record: WirelessLink) -> Message:
         "status": bool(record.connected),
         "txpower": _whole(record.tx_power_dbm),
         "rssi": _whole(record.rssi_dbm),
-        "lqi": _or(record.link_quality, -1.0),
+        "lqi": -1.0 if record.link_quality is None or abs(record.link_quality) > _FLOAT32_MAX else record.link_quality,
         "noise": _whole(record.noise_dbm),
     }
 
@@ -103,7 +105,7 @@ def _or(value: Any, sentinel: Any) -> Any:
 
 
 def _whole(value: float | None) -> int:
-    return NO_READING if value is None or not math.isfinite(value) else round(value)
+    return NO_READING if value is None or not abs(value) < _INT32_END else round(value)
 
 
 def from_2021(message_type: str, message: Any, received_ns: int | None = None) -> tuple[Record, ...]:

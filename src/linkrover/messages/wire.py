@@ -57,12 +57,11 @@ class Codec:
         """The message's bytes. Raises struct.error where a number does not fit its field."""
         values: list[Any] = []
         self._plan.flatten(message, values)
-        if self.ros1:
-            out = bytearray()
-            self._plan.write(out, values, 0)
-        else:
-            out = bytearray(CDR_HEADER)
-            self._plan.write(out, values, 4)
+        out = bytearray() if self.ros1 else bytearray(CDR_HEADER)
+        try:
+            self._plan.write(out, values, len(out))
+        except OverflowError as error:
+            raise struct.error(str(error)) from None
         return bytes(out)
 
     def decode(self, data: bytes | memoryview) -> Message:
