@@ -181,7 +181,8 @@ def test_a_full_disk_is_said_and_measuring_goes_on(tmp_path):
             samples = len(agent.of("LinkUtilization"))
             agent.wait_for("LinkUtilization", samples + 100)
             agent.wait_until(lambda: agent.of("SelfAccount"), lambda found: found[-1]["records_lost"] > 0, "lost count")
-            assert agent.end(signal.SIGTERM) == 0, agent.errors
+            assert agent.end(signal.SIGTERM) == 1
+        assert "records could not be written" in agent.errors
         assert list(disk.glob("robot/*"))
     finally:
         subprocess.run(["umount", str(disk)], check=True)
@@ -190,6 +191,7 @@ def test_a_full_disk_is_said_and_measuring_goes_on(tmp_path):
 def test_a_reader_that_goes_away_ends_it_cleanly():
     command = f"{sys.executable} -m linkrover agent --json --interface lo --utilization-rate 50 | head -n 3"
     done = subprocess.run(["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0
     assert len(done.stdout.splitlines()) == 3
     assert "Traceback" not in done.stderr
 
@@ -202,7 +204,7 @@ def test_a_reader_that_does_not_read_holds_nothing_up(tmp_path):
         journal = tmp_path / "robot" / "robot.mcap.journal"
         deadline = time.monotonic() + 30
         # far more than a pipe holds
-        while not (journal.exists() and journal.stat().st_size > 400_000):
+        while not (journal.exists() and journal.stat().st_size > 150_000):
             assert time.monotonic() < deadline
             assert process.poll() is None
             time.sleep(0.05)

@@ -15,8 +15,11 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from linkrover.agent import Agent, AgentConfig
+    from linkrover.bag.recorder import Recorder
     from linkrover.live.output import Output
+    from linkrover.records import LinkEvent
 
+EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
 _DRAW_HZ = 2.0
 
@@ -56,7 +59,8 @@ def agent(
 
     robot$ linkrover agent --interface wlan0 --peer STATION --record runs/001
 
-    Ctrl-C or SIGTERM ends it and finishes the recording. Exit status 0, or 130 when --duration was cut short.
+    Ctrl-C or SIGTERM ends it and finishes the recording. Exit status 0; 130 when Ctrl-C cut --duration short; 1 when
+    records could not be written.
 
     Parameters
     ----------
@@ -176,18 +180,18 @@ def _run(measuring: Agent, settings: AgentConfig, *, json: bool, plain: bool) ->
     handler = _OutputHandler(errors)
     logging.getLogger("linkrover").addHandler(handler)
     interrupted = _Interrupted(measuring)
-    directory: Path | None = None
+    recorder: Recorder | None = None
     try:
         if settings.record is not None:
-            target = Path(settings.record) / settings.role.value
-            _record_to(measuring, target, errors, announce=not view_on)
-            directory = target
+            recorder = _record_to(measuring, Path(settings.record) / settings.role.value)
+            if not view_on:
+                errors.write(f"recording to {recorder.directory}\n")
         measuring.start()
         if json:
             _add_json(measuring, out)
         elif view_on:
             handler.held = []
-            _add_view(measuring, out, directory)
+            _add_view(measuring, out, None if recorder is None else recorder.directory)
         else:
             _add_log(measuring, out, settings.log_period_s)
         measuring.run()
@@ -195,27 +199,40 @@ def _run(measuring: Agent, settings: AgentConfig, *, json: bool, plain: bool) ->
         logging.getLogger("linkrover").removeHandler(handler)
         for line in handler.held or ():
             errors.write(line)
-        if directory is not None and not json:
-            out.write(f"recorded in {directory}\n")
+        if recorder is not None:
+            errors.write(_recorded(recorder))
         for output in {out, errors}:
             output.close()
         interrupted.restore()
+    if recorder is not None and (recorder.problem is not None or recorder.records_lost):
+        return EXIT_FAILED
     return EXIT_INTERRUPTED if interrupted.by_keyboard and settings.duration_s is not None else 0
 
 
-def _record_to(measuring: Agent, directory: Path, errors: Output, *, announce: bool) -> None:
+def _record_to(measuring: Agent, directory: Path) -> Recorder:
     from linkrover.bag.recorder import Recorder
     from linkrover.errors import LinkRoverError
 
+    def tell(event: LinkEvent) -> None:
+        measuring.log.warning("%s", event.detail)
+        measuring.publish_from(recorder, event)
+
     try:
-        recorder = Recorder(
-            directory, measuring.manifest, on_event=lambda event: measuring.publish_from(recorder, event)
-        )
+        recorder = Recorder(directory, measuring.manifest, on_event=tell)
     except OSError as error:
         raise LinkRoverError(f"cannot record to {directory}: {error.strerror or error}") from error
     measuring.add_sink(recorder)
-    if announce:
-        errors.write(f"recording to {directory}\n")
+    return recorder
+
+
+def _recorded(recorder: Recorder) -> str:
+    """The last word on the recording."""
+    text = f"recorded {recorder.records_written} records in {recorder.directory}\n"
+    if recorder.records_lost:
+        text += f"linkrover: {recorder.records_lost} records could not be written\n"
+    if recorder.problem is not None:
+        text += f"linkrover: {recorder.problem}\n"
+    return text
 
 
 def _add_json(measuring: Agent, out: Output) -> None:

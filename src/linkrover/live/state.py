@@ -19,6 +19,7 @@ from linkrover.records import (
 )
 
 HISTORY = 60
+_PEER_KEPT_NS = 3_000_000_000
 _PROBE_WINDOW_NS = 60_000_000_000
 _ERROR_FIELDS = (
     "tcp_retransmits",
@@ -46,6 +47,7 @@ class InterfaceState:
         self.tx_history: deque[float | None] = deque(maxlen=HISTORY)
         self.rssi_history: deque[float | None] = deque(maxlen=HISTORY)
         self.error_totals: dict[str, int] = {}  # increments since the start, resets left out
+        self.peers: dict[str, WirelessLink] = {}  # of an access point, by address
         self._rssi_due_ns = 0
 
     def take_utilization(self, record: LinkUtilization) -> None:
@@ -55,11 +57,22 @@ class InterfaceState:
         self.tx_history.append(record.tx_rate_bps)
 
     def take_wireless(self, record: WirelessLink) -> None:
-        """A new sample of the link; the history takes one a second."""
-        self.wireless = record
+        """A new sample of the link; the history takes one a second.
+
+        Of an access point's peers the weakest is shown.
+        """
+        if record.peer is None:
+            self.peers.clear()
+            self.wireless = record
+        else:
+            self.peers[record.peer] = record
+            for peer in [p for p, link in self.peers.items() if record.mono_ns - link.mono_ns > _PEER_KEPT_NS]:
+                del self.peers[peer]
+            heard = [link for link in self.peers.values() if link.rssi_dbm is not None]
+            self.wireless = min(heard, key=lambda link: link.rssi_dbm or 0.0) if heard else record
         if record.mono_ns >= self._rssi_due_ns:
             self._rssi_due_ns = record.mono_ns + 950_000_000
-            self.rssi_history.append(record.rssi_dbm)
+            self.rssi_history.append(self.wireless.rssi_dbm)
 
     def take_errors(self, record: NetworkErrors) -> None:
         """New counters; what has been added since the last ones is added up."""

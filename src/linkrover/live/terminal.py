@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from linkrover.records import Continuity, Manifest, Record
+from linkrover.records import Continuity, Manifest, ProbeState, Record
 
 from .lines import account_line, duration, event_line, rate
 from .output import Output
@@ -22,7 +22,7 @@ _HOME = "\x1b[H"
 _CLEAR_LINE = "\x1b[K"
 _CLEAR_BELOW = "\x1b[J"
 _ALTERNATE, _MAIN = "\x1b[?1049h\x1b[?25l", "\x1b[?25h\x1b[?1049l"
-_HISTORY_WIDTH = 30
+_HISTORY_MOST, _HISTORY_LEAST = 30, 4
 
 
 class TerminalView:
@@ -70,6 +70,7 @@ class TerminalView:
         console.print(self._head())
         if self.state.interfaces:
             console.print(self._interfaces(width))
+            console.print(self._errors())
         if self.state.peers:
             console.print(self._peers(width))
         self._foot(console)
@@ -87,34 +88,48 @@ class TerminalView:
         return text
 
     def _interfaces(self, width: int) -> Table:
-        table = _table(width, "interface", "receive", "", "send", "", "RSSI", "", "link", "errors since start")
+        history = _history_width(width - 70, 3)
+        table = _table("interface", "receive", "", "send", "", "RSSI", "", "link")
         for state in self.state.interfaces.values():
             traffic, link = state.utilization, state.wireless
             gone = traffic is not None and traffic.continuity is Continuity.GONE
             table.add_row(
                 Text(state.name, style="bold red" if gone else "bold"),
                 Text("gone", style="red") if gone else (rate(traffic.rx_rate_bps) if traffic else "?"),
-                spark(state.rx_history, _HISTORY_WIDTH, least=0.0),
+                spark(state.rx_history, history, least=0.0),
                 "" if gone else (rate(traffic.tx_rate_bps) if traffic else "?"),
-                spark(state.tx_history, _HISTORY_WIDTH, least=0.0),
+                spark(state.tx_history, history, least=0.0),
                 "-" if link is None else (f"{link.rssi_dbm:.0f} dBm" if link.rssi_dbm is not None else "?"),
-                spark(state.rssi_history, _HISTORY_WIDTH),
+                spark(state.rssi_history, history),
                 _link_words(state),
-                Text(", ".join(f"{f} {n}" for f, n in state.error_totals.items()) or "none", style="yellow")
-                if state.error_totals
-                else "none",
             )
         return table
 
+    def _errors(self) -> Text:
+        """What has been added to the error counters; TCP's and UDP's are the whole machine's."""
+        totals: dict[str, dict[str, int]] = {}
+        for state in self.state.interfaces.values():
+            for field, count in state.error_totals.items():
+                owner = "machine" if field.startswith(("tcp_", "udp_")) else state.name
+                totals.setdefault(owner, {})[field] = count
+        if not totals:
+            return Text("errors since the start: none", style="dim")
+        parts = [
+            f"{owner}: " + ", ".join(f"{field} {count}" for field, count in fields.items())
+            for owner, fields in totals.items()
+        ]
+        return Text("errors since the start   " + "   ".join(parts), style="yellow")
+
     def _peers(self, width: int) -> Table:
-        table = _table(width, "peer", "RTT now", "median, 1 min", "", "loss, 1 min", "lost / sent", "outages")
+        history = _history_width(width - 85, 1)
+        table = _table("peer (last minute)", "RTT now", "median", "", "loss", "lost / sent", "outages")
         for state in self.state.peers.values():
             loss = state.loss()
             table.add_row(
                 state.name,
-                duration(state.last.rtt_ns if state.last is not None else None),
+                _last_words(state),
                 duration(state.median_rtt_ns()),
-                spark(state.rtt_history, _HISTORY_WIDTH, least=0.0),
+                spark(state.rtt_history, history, least=0.0),
                 "?" if loss is None else Text(f"{loss * 100:.1f} %", style="red" if loss > 0.01 else ""),
                 f"{state.lost} / {state.sent}",
                 _outage_words(state),
@@ -136,11 +151,17 @@ class TerminalView:
         return 100, 30
 
 
-def _table(width: int, *titles: str) -> Table:
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), width=width)
+def _table(*titles: str) -> Table:
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     for title in titles:
-        table.add_column(title, no_wrap=True, overflow="ellipsis", header_style="dim")
+        # figures change all the time: a least width keeps the columns where they are
+        least = {"receive": 11, "send": 11, "RSSI": 7, "RTT now": 7}.get(title)
+        table.add_column(title, no_wrap=True, overflow="ellipsis", header_style="dim", min_width=least)
     return table
+
+
+def _history_width(room: int, lines: int) -> int:
+    return max(_HISTORY_LEAST, min(_HISTORY_MOST, room // lines))
 
 
 def _link_words(state: InterfaceState) -> str:
@@ -148,6 +169,8 @@ def _link_words(state: InterfaceState) -> str:
     if link is None:
         return "wired"
     words = [] if link.ssid is None else [link.ssid]
+    if len(state.peers) > 1:
+        words.append(f"weakest of {len(state.peers)} peers")
     if link.frequency_mhz is not None:
         words.append(f"{link.frequency_mhz} MHz")
     if link.connected is False:
@@ -155,6 +178,14 @@ def _link_words(state: InterfaceState) -> str:
     elif link.connected is None and link.rssi_dbm is None:
         words.append(link.mode or "?")
     return " ".join(words) or "connected"
+
+
+def _last_words(state: PeerState) -> Text:
+    if state.last is None:
+        return Text("?")
+    if state.last.state is not ProbeState.ANSWERED:
+        return Text("lost", style="red")
+    return Text(duration(state.last.rtt_ns))
 
 
 def _outage_words(state: PeerState) -> Text:
