@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -64,8 +65,6 @@ class Maker:
         return self("network_analysis/NetworkDelay", header=self.header(ns), iface="default", delay=ms, alive=ms >= 0)
 
     def odometry(self, ns: int, x: float, heading: float):
-        import numpy as np
-
         zero = np.zeros(36)
         point = self("geometry_msgs/Point", x=x, y=0.0, z=0.0)
         turn = self("geometry_msgs/Quaternion", x=0.0, y=0.0, z=math.sin(heading / 2), w=math.cos(heading / 2))

@@ -5,6 +5,7 @@ import tempfile
 from collections import defaultdict
 from pathlib import Path
 
+import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -16,7 +17,7 @@ from linkrover.records import LinkUtilization, Manifest, Pose, ProbeResult, Reco
 from tests.messages.strategies import any_record
 
 from .ros1_bags import bag_of_2021
-from .samples import manifest, record_all
+from .samples import manifest, record_all, record_number
 
 
 def rows(frames: dict) -> dict[str, list[dict]]:
@@ -38,8 +39,6 @@ def expected(path: Path) -> dict[str, list[dict]]:
     parts = {
         kind: [from_records(kind, records, end) for end, records in ends.items()] for kind, ends in by_kind.items()
     }
-    import polars as pl
-
     return rows({kind: pl.concat(frames) for kind, frames in parts.items()})
 
 
@@ -48,7 +47,7 @@ def unordered(found: dict[str, list[dict]]) -> dict[str, list[str]]:
 
 
 @given(st.lists(any_record.filter(lambda r: not isinstance(r, Manifest)), max_size=12))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_frames_hold_what_the_records_hold(records):
     with tempfile.TemporaryDirectory() as place:
         path = Path(place) / "robot"
@@ -85,8 +84,6 @@ def test_unknown_is_null_and_enums_are_their_values(tmp_path):
 
 def test_a_journal_reads_as_a_finished_recording_does(tmp_path):
     recorder = Recorder(tmp_path / "robot", manifest(), flush_s=0.01)
-    from .samples import record_number
-
     for n in range(50):
         for record in record_number(n):
             recorder.take(record)
@@ -102,9 +99,7 @@ def test_a_journal_reads_as_a_finished_recording_does(tmp_path):
 def test_damaged_messages_are_left_out_and_counted(tmp_path):
     recorder = Recorder(tmp_path / "robot", manifest())
     for n in range(20):
-        from .samples import record_number
-
-        for record in record_number(n):
+            for record in record_number(n):
             recorder.take(record)
     recorder._flush()
     journal = tmp_path / "robot" / "robot.mcap.journal"

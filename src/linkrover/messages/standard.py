@@ -25,7 +25,7 @@ def to_standard(record: Record) -> tuple[str, Message] | None:
 
 
 def _odometry(record: Pose) -> Message:
-    half = record.heading_rad / 2
+    half = record.heading_rad / 2 if math.isfinite(record.heading_rad) else math.nan
     return {
         "header": header(record.wall_ns, record.frame),
         "child_frame_id": BASE_FRAME,
