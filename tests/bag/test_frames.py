@@ -99,7 +99,7 @@ def test_a_journal_reads_as_a_finished_recording_does(tmp_path):
 def test_damaged_messages_are_left_out_and_counted(tmp_path):
     recorder = Recorder(tmp_path / "robot", manifest())
     for n in range(20):
-            for record in record_number(n):
+        for record in record_number(n):
             recorder.take(record)
     recorder._flush()
     journal = tmp_path / "robot" / "robot.mcap.journal"
