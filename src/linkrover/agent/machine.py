@@ -8,13 +8,15 @@ import socket
 import struct
 import sys
 from collections.abc import Iterable
+from typing import NamedTuple
 
 from linkrover import __version__
 from linkrover.errors import LinkRoverError
 from linkrover.records import Interface, Manifest, now
 from linkrover.sources.ethtool import DriverInfo, EthtoolReader
 from linkrover.sources.interface import InterfaceSocket
-from linkrover.sources.wext_ioctl import WirelessIoctls, WirelessSettings
+from linkrover.sources.nl80211 import Nl80211
+from linkrover.sources.wext_ioctl import WirelessIoctls
 
 from .config import AgentConfig, to_toml
 
@@ -81,7 +83,7 @@ def collect_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
         found = []
         for name in names:
             driver = _driver(ethtool, name)
-            settings = wireless.read(name) if wireless.is_wireless(name) else WirelessSettings()
+            radio = _radio(name, wireless)
             found.append(
                 Interface(
                     name=name,
@@ -92,9 +94,10 @@ def collect_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
                     firmware=driver.firmware,
                     mtu=sockets.mtu(name),
                     speed_bps=ethtool.speed_bps(name),
-                    frequency_mhz=settings.frequency_mhz,
-                    power_save=settings.power_save,
-                    mode=settings.mode,
+                    frequency_mhz=radio.frequency_mhz,
+                    width_mhz=radio.width_mhz,
+                    power_save=radio.power_save,
+                    mode=radio.mode,
                 )
             )
         return tuple(found)
@@ -138,6 +141,35 @@ def route_interface(host: str, port: int, names: Iterable[str]) -> str | None:
         source = str(trial.getsockname()[0]).split("%")[0]
     owners = [name for name, address in local_addresses() if address == source]
     return next((name for name in names if name in owners), None)
+
+
+class _Radio(NamedTuple):
+    mode: str | None = None
+    frequency_mhz: int | None = None
+    width_mhz: int | None = None
+    power_save: bool | None = None
+
+
+def _radio(name: str, wireless: WirelessIoctls) -> _Radio:
+    """What nl80211 says, else the wireless extensions; nothing for a wired interface."""
+    try:
+        reader = Nl80211()
+    except LinkRoverError:
+        return _radio_by_extensions(name, wireless)
+    try:
+        info = reader.interface(name)
+        return _Radio(info.mode, info.frequency_mhz, info.width_mhz, reader.power_save(name))
+    except LinkRoverError:
+        return _radio_by_extensions(name, wireless)
+    finally:
+        reader.close()
+
+
+def _radio_by_extensions(name: str, wireless: WirelessIoctls) -> _Radio:
+    if not wireless.is_wireless(name):
+        return _Radio()
+    settings = wireless.read(name)
+    return _Radio(settings.mode, settings.frequency_mhz, None, settings.power_save)
 
 
 def _driver(ethtool: EthtoolReader, name: str) -> DriverInfo:
