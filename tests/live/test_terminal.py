@@ -75,6 +75,17 @@ def test_what_is_unknown_is_shown_as_unknown(view):
     assert "lost" in text
 
 
+@pytest.mark.parametrize("ssid", ["[red]x[/blue]", "\x1b]0;owned\x07", "[/]", ":smile:", "a\nb"])
+def test_a_hostile_network_name_is_shown_and_does_nothing(view, ssid):
+    view.take(WirelessLink(iface="wlan0", source="wext", rssi_dbm=-60.0, ssid=ssid, **at(1)))
+    view.take(LinkEvent(iface="wlan0", kind=EventKind.ROAMED, detail=ssid, **at(1)))
+    text = view.render(160)
+    assert "\x1b]" not in text
+    assert "\x07" not in text
+    if ssid.isprintable():
+        assert ssid in text
+
+
 def test_on_a_real_terminal_it_draws_and_gives_the_screen_back():
     main, terminal = pty.openpty()
     fcntl.ioctl(terminal, termios.TIOCSWINSZ, struct.pack("4H", 30, 120, 0, 0))

@@ -7,6 +7,11 @@ from linkrover.records import Continuity, LinkEvent, Record, SelfAccount
 from .state import InterfaceState, LiveState, PeerState
 
 
+def clean(text: str) -> str:
+    """Text from outside made safe for a terminal: an SSID may hold escape sequences."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text)
+
+
 def rate(bits_per_s: float | None) -> str:
     """A rate for a reader: 3.2 Mbit/s."""
     if bits_per_s is None:

@@ -6,7 +6,7 @@ import time
 
 from linkrover.records import Record
 
-from .lines import event_line, summary_lines
+from .lines import clean, event_line, summary_lines
 from .output import Output
 from .state import LiveState
 
@@ -37,4 +37,4 @@ class LogView:
             self._say(line)
 
     def _say(self, line: str) -> None:
-        self._output.write(f"{time.strftime('%H:%M:%S')} {line}\n")
+        self._output.write(f"{time.strftime('%H:%M:%S')} {clean(line)}\n")

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from linkrover.records import Continuity, Manifest, ProbeState, Record
 
-from .lines import account_line, duration, event_line, rate
+from .lines import account_line, clean, duration, event_line, rate
 from .output import Output
 from .spark import spark
 from .state import InterfaceState, LiveState, PeerState
@@ -66,6 +66,8 @@ class TerminalView:
             color_system="standard" if self._colour else None,
             legacy_windows=False,
             highlight=False,
+            markup=False,
+            emoji=False,
         )
         console.print(self._head())
         if self.state.interfaces:
@@ -126,7 +128,7 @@ class TerminalView:
         for state in self.state.peers.values():
             loss = state.loss()
             table.add_row(
-                state.name,
+                clean(state.name),
                 _last_words(state),
                 duration(state.median_rtt_ns()),
                 spark(state.rtt_history, history, least=0.0),
@@ -141,7 +143,7 @@ class TerminalView:
             console.print(Text(account_line(self.state.account), style="dim"))
         for event in self.state.events:
             at = time.strftime("%H:%M:%S", time.localtime(event.wall_ns / 1e9))
-            console.print(Text(f"{at}  {event_line(event)}"), overflow="ellipsis", no_wrap=True)
+            console.print(Text(f"{at}  {clean(event_line(event) or '')}"), overflow="ellipsis", no_wrap=True)
 
     def _size(self) -> tuple[int, int]:
         with contextlib.suppress(OSError):
@@ -168,7 +170,7 @@ def _link_words(state: InterfaceState) -> str:
     link = state.wireless
     if link is None:
         return "wired"
-    words = [] if link.ssid is None else [link.ssid]
+    words = [] if link.ssid is None else [clean(link.ssid)]
     if len(state.peers) > 1:
         words.append(f"weakest of {len(state.peers)} peers")
     if link.frequency_mhz is not None:
