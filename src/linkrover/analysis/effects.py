@@ -149,10 +149,10 @@ def _effect(summaries: Sequence[RunSummary], factor: str, low: str, high: str, m
     if not rows:
         return msgspec.structs.replace(base, reason="no two trials differ in this factor alone")
     names = sorted(paired)
-    stratum = np.array([names.index(st) for st, _, _ in rows])
+    numbers = np.array([names.index(st) for st, _, _ in rows])
     is_high = np.array([h for _, h, _ in rows], dtype=float)
     y = np.array([v for _, _, v in rows], dtype=float)
-    return _fill(base, np.log(y) if metric.ratio else y, is_high, stratum)
+    return _fill(base, np.log(y) if metric.ratio else y, is_high, numbers)
 
 
 def _fill(base: Effect, y: Floats, is_high: Floats, stratum: NDArray[np.intp]) -> Effect:

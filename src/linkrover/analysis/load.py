@@ -187,8 +187,12 @@ class _Clock:
             problems.append(f"{role}: its wall clock was stepped by {drift / 1e9:.3f} s; monotonic times were taken")
 
     def nanoseconds(self, table: Columns) -> Times:
-        out: Times = table["mono_ns"] + self._offset
-        return out if self._shift is None else out + self._shift.at(out)
+        import numpy as np
+
+        out: Times = np.asarray(table["mono_ns"], dtype=np.int64) + self._offset
+        if self._shift is not None:
+            out = out + self._shift.at(out)
+        return out
 
     def seconds(self, table: Columns, origin: int) -> NDArray[np.float64]:
         out: NDArray[np.float64] = (self.nanoseconds(table) - origin) / 1e9

@@ -1,14 +1,25 @@
-"""Recordings on a disk to the tables of each end."""
+"""Recordings on a disk to the tables of each end, batch by batch."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from linkrover import records
 from linkrover.errors import LinkRoverError
+from linkrover.records import LinkEvent
 
-from .columns import RawEnd, from_records
+from .columns import FIELDS, KEYS, TEXTS, RawEnd
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from linkrover.bag import Recording
+
+    from .run import Columns
 
 KINDS = ("robot", "station", "truth")
+MOST_POSES = 500_000  # a week of odometry is not needed to the 20 ms: every k-th pose of more than this
 
 
 def read_raw(path: Path) -> tuple[dict[str, RawEnd], list[str]]:
@@ -16,39 +27,117 @@ def read_raw(path: Path) -> tuple[dict[str, RawEnd], list[str]]:
 
     Raises LinkRoverError if nothing at all can be read.
     """
-    from linkrover.bag.reading import find_recordings, read_recording
-    from linkrover.records import Record
+    from linkrover.bag import find_recordings
 
     raws: dict[str, RawEnd] = {}
     problems: list[str] = []
     errors: list[LinkRoverError] = []
     for place in find_recordings(path):
         try:
-            recording = read_recording(place)
-            by_end: dict[str, list[Record]] = {}
-            for end, record in recording.entries():
-                by_end.setdefault(end, []).append(record)
+            found, said = read_ends(place)
         except LinkRoverError as error:
             errors.append(error)
             problems.append(f"{place.name}: cannot be read: {error}")
             continue
-        if recording.end == "truth":
-            by_end = {"truth": by_end.get("truth", [])}
-        for end, records in by_end.items():
+        problems += [f"{place.name}: {problem}" for problem in said]
+        for end, raw in found.items():
             if end not in KINDS:
                 problems.append(f"{place.name}: topics of '{end}' are of neither end and left out")
-                continue
-            found = from_records(records)
-            if recording.manifest is not None and (end == recording.end or found.manifest is None):
-                found.manifest = found.manifest or recording.manifest
-            found.published_2021 = recording.manifest is None
-            if end in raws:
+            elif end in raws:
                 problems.append(f"{place.name}: a second recording of the {end}; the first one is used")
             else:
-                raws[end] = found
-        problems += [f"{place.name}: {problem}" for problem in recording.problems]
-    if not any(end in raws for end in ("robot", "station")):
+                raws[end] = raw
+    if not any(end in raws and raws[end].tables for end in ("robot", "station")):
         if errors:
             raise errors[0]
         raise LinkRoverError(f"{path}: no samples of a robot or a station in it; 'linkrover info {path}' shows what is")
     return raws, problems
+
+
+def read_ends(place: Path) -> tuple[dict[str, RawEnd], list[str]]:
+    """The ends in one recording (a bag may hold both) and its problems. Pure and picklable, for spreading over many."""
+    from linkrover.bag import read_recording
+    from linkrover.bag.frames import iter_frames
+
+    recording = read_recording(place)
+    problems: list[str] = []
+    parts: dict[tuple[str, str, tuple[str, ...]], list[Columns]] = {}
+    kinds = [getattr(records, name) for name in KEYS]
+    thin = _thinning(recording)
+    for batch in iter_frames(place, kinds=kinds, problems=problems):
+        for kind, frame in batch.items():
+            _collect(parts, kind.__name__, frame, thin)
+    raws: dict[str, RawEnd] = {}
+    for (end, name, key), pieces in parts.items():
+        raw = raws.setdefault(end, RawEnd())
+        raw.tables.setdefault(name, {})[key] = _joined(pieces)
+    if recording.end == "truth":
+        raws = {"truth": raws.get("truth", RawEnd())}
+    ours = recording.manifest is not None
+    for end, raw in raws.items():
+        raw.published_2021 = not ours
+        if ours and (end == recording.end or len(raws) == 1):
+            raw.manifest = recording.manifest
+    if ours and recording.end not in raws:
+        raws[recording.end] = RawEnd(manifest=recording.manifest)
+    if any(topic.record == "LinkEvent" for topic in recording.topics):
+        for end, event in recording.entries(LinkEvent):
+            if isinstance(event, LinkEvent) and end in raws:
+                raws[end].events.append(event)
+    return raws, list(dict.fromkeys([*recording.problems, *problems]))
+
+
+def _thinning(recording: Recording) -> int:
+    count = sum(topic.count for topic in recording.topics if topic.record == "Pose")
+    return max(1, -(-count // MOST_POSES))
+
+
+def _collect(
+    parts: dict[tuple[str, str, tuple[str, ...]], list[Columns]], kind: str, frame: pl.DataFrame, thin: int
+) -> None:
+    names = [name for name in FIELDS[kind] if name in frame.columns]
+    keys = ["end", *KEYS[kind]]
+    groups = frame.select([*dict.fromkeys([*keys, "wall_ns", "mono_ns", *names])]).partition_by(
+        keys, as_dict=True, include_key=True, maintain_order=True
+    )
+    for key, group in groups.items():
+        if kind == "Pose" and thin > 1:
+            group = group.gather_every(thin)
+        end, *rest = ("" if part is None else str(part) for part in key)
+        table: Columns = {n: group[n].to_numpy() for n in ("wall_ns", "mono_ns")}
+        for name in names:
+            table[name] = _text(group[name]) if name in TEXTS else _number(group[name])
+        parts.setdefault((end, kind, tuple(rest)), []).append(table)
+
+
+def _text(series: pl.Series) -> Any:
+    """Few different words over many rows: one object each."""
+    import numpy as np
+    import polars as pl
+
+    if series.dtype != pl.String:
+        series = series.cast(pl.String)
+    words = series.unique()
+    index = {word: i for i, word in enumerate(words.to_list())}
+    if len(index) == 1:
+        return np.full(len(series), next(iter(index)), object)
+    codes = series.replace_strict(
+        list(index), list(range(len(index))), return_dtype=pl.Int32, default=index.get(None, -1)
+    )
+    return np.array(list(index), object)[codes.to_numpy()]
+
+
+def _number(series: pl.Series) -> Any:
+    import polars as pl
+
+    if series.dtype == pl.Struct:
+        series = series.struct.field("rate_bps")
+    return series.cast(pl.Float64, strict=False).fill_null(float("nan")).to_numpy()
+
+
+def _joined(pieces: list[Columns]) -> Columns:
+    import numpy as np
+
+    if len(pieces) == 1:
+        return pieces[0]
+    return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}

@@ -29,7 +29,7 @@ def case_table(summaries: Sequence[RunSummary]) -> Table | None:
         unit = "%" if metric.unit == "points" else metric.unit
         columns += [Column(f"{metric.name} ({unit})", better="high" if metric.better == "high" else "low"), Column("±")]
     table = Table("Cases over their trials", tuple(columns), name="cases")
-    for case, found in sorted(cases.items(), key=lambda item: case_key(item[0])):
+    for found in (cases[case] for case in sorted(cases, key=case_key)):
         row: list[str | float | int | None] = [case_label(found[0]), len(found)]
         for metric in METRICS:
             values = [v for s in found if (v := metric_value(s, metric)) is not None]
@@ -47,10 +47,8 @@ def case_key(case: str) -> tuple[int, str]:
 
 def case_label(summary: RunSummary) -> str:
     """A case with its factors."""
-    words = [
-        CASE_WORDS.get(summary.factors.get("ap", ""), ""),
-        *(summary.factors.get(k, "") for k in ("adapter", "band")),
-    ]
+    others = [summary.factors.get(k, "") for k in ("adapter", "band")]
+    words = [CASE_WORDS.get(summary.factors.get("ap", ""), ""), *others]
     known = ", ".join(w for w in words if w)
     return f"{summary.case} ({known})" if known else str(summary.case)
 
