@@ -205,6 +205,7 @@ def _rows(runs: list[Run]) -> list[dict[str, float | str | int | None]]:
     for name, members in cases.items():
         found = [summarise(load_run(run.out)) for run in members]
         robots = [s.ends["robot"].interfaces[s.ends["robot"].primary or "wlan0"] for s in found]
+        stations = [s.ends["station"].interfaces[s.ends["station"].primary or "wlan0"] for s in found]
         preset = presets.BY_NAME.get(members[0].plan.case.preset or name)
         seen = None if preset is None else preset.observed
         rows.append(
@@ -217,7 +218,8 @@ def _rows(runs: list[Run]) -> list[dict[str, float | str | int | None]]:
                 "outage_2021_percent": None if seen is None else 100 * seen.outage_share,
                 "median_ms": _mean([s.delay_ms.median for s in found]),
                 "median_2021_ms": None if seen is None else 1e3 * seen.delay_median_s,
-                "rssi_dbm": _mean([r.rssi_dbm.mean for r in robots]),
+                # an access point shows none: then what the other end receives
+                "rssi_dbm": _mean([r.rssi_dbm.mean for r in robots]) or _mean([r.rssi_dbm.mean for r in stations]),
             }
         )
     return rows
@@ -233,10 +235,13 @@ def _table(console: Console, rows: list[dict[str, float | str | int | None]]) ->
 
     if not rows:
         return
-    table = Table(title="Means over n trials, beside the 2021 data: throughput, time without answer, median round trip, RSSI", title_justify="left", title_style="bold")
+    console.print(
+        "[bold]Means over the trials (n), beside the 2021 data[/]: throughput, time without answer, round trip"
+    )
+    table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
     table.add_column("case", no_wrap=True)
     for heading in ("n", "Mbit/s", "2021", "out %", "2021", "RTT ms", "2021", "dBm"):
-        table.add_column(heading, justify="right")
+        table.add_column(heading, justify="right", no_wrap=True)
     for row in rows:
         values = [value for key, value in row.items() if key != "case"]
         texts = [str(values[0])] + [f"{v:.1f}" if isinstance(v, float) else "-" for v in values[1:]]
