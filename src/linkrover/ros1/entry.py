@@ -5,10 +5,13 @@ from __future__ import annotations
 import functools
 import logging
 import signal
+import socket
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from linkrover.agent import Agent
 from linkrover.errors import LinkRoverError
@@ -78,7 +81,11 @@ def run(options: Ros1Options, arguments: Sequence[str] = (), defaults: dict[str,
     family.addHandler(handler)
     node = Ros1(options.node, arguments)
     try:
-        options = resolve(options, _parameter(node), defaults)
+        parameter = _parameter(node)
+        port_given = options.reflect is not None or parameter("reflect") is not None
+        options = resolve(options, parameter, defaults)
+        if options.reflect and not port_given:
+            options = msgspec.structs.replace(options, reflect=_free_port(options.reflect))
         places = layout(options)
         config = agent_config(options)
         part = Ros1Part(node, options, places)
@@ -99,6 +106,19 @@ def run(options: Ros1Options, arguments: Sequence[str] = (), defaults: dict[str,
         node.close()
         family.removeHandler(handler)
         output.close()
+
+
+def _free_port(port: int) -> int:
+    """The default port, or another where it is taken: clients find it by the parameter stamp_reflector."""
+    with socket.socket(socket.AF_INET6 if socket.has_dualstack_ipv6() else socket.AF_INET, socket.SOCK_DGRAM) as trial:
+        try:
+            trial.bind(("", port))
+        except OSError:
+            trial.bind(("", 0))
+            other = int(trial.getsockname()[1])
+            log.warning("UDP port %d is taken: STAMP probes are answered on %d", port, other)
+            return other
+    return port
 
 
 def _stop(agent: Agent, stopped_by: list[int], number: int, _frame: object) -> None:
