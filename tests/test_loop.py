@@ -193,6 +193,19 @@ def test_a_period_that_is_not_positive_is_refused(loop, period):
         loop.every(period, lambda _: None)
 
 
+def test_a_closed_loop_is_not_woken_through_somebody_elses_file():
+    loop = Loop()
+    loop.close()
+    reading, writing = os.pipe()  # gets the numbers the loop had
+    os.set_blocking(reading, False)
+    loop.call_soon(lambda: None)
+    loop.stop()
+    with pytest.raises(BlockingIOError):
+        os.read(reading, 1)
+    os.close(reading)
+    os.close(writing)
+
+
 def test_no_file_descriptor_is_left_open():
     before = sum(1 for _ in Path("/proc/self/fd").iterdir())
     for _ in range(5):

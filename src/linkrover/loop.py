@@ -130,10 +130,12 @@ class Loop:
         self._wake()
 
     def close(self) -> None:
-        """Give back the file descriptors."""
+        """Give back the file descriptors. stop() and call_soon() do nothing afterwards."""
         self._selector.close()
+        # a late signal or thread must not write into whatever gets this number next
+        wake_write, self._wake_write = self._wake_write, -1
+        os.close(wake_write)
         os.close(self._wake_read)
-        os.close(self._wake_write)
 
     def _push(self, due_ns: int, callback: Callable[[], None]) -> None:
         self._order += 1
@@ -152,6 +154,8 @@ class Loop:
         job.callback(Slot(index, due_ns, now_ns - due_ns, missed))
 
     def _wake(self) -> None:
+        if self._wake_write < 0:
+            return
         try:
             os.write(self._wake_write, b"x")
         except BlockingIOError:

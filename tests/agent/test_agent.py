@@ -198,7 +198,7 @@ def test_the_manifest_says_what_machine_this_is():
     assert 'interfaces = ["lo"]' in manifest.config
     assert manifest.boot_id is not None
     agent.start()
-    agent._close()
+    agent.close()
 
 
 def test_addresses_and_routes_are_the_kernels():

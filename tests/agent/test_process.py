@@ -188,6 +188,23 @@ def test_a_full_disk_is_said_and_measuring_goes_on(tmp_path):
         subprocess.run(["umount", str(disk)], check=True)
 
 
+def test_a_start_that_is_refused_leaves_nothing_behind(tmp_path):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("", 0))
+        port = str(taken.getsockname()[1])
+        arguments = ["--interface", "lo", "--feed", str(tmp_path / "feed"), "--record", str(tmp_path / "run")]
+        with RunningAgent([*arguments, "--reflect", "--port", port]) as agent:
+            assert agent.end() == 2
+            assert "is taken" in agent.errors
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "run" / "robot").mkdir(parents=True)
+    (tmp_path / "run" / "robot" / "robot.mcap").write_bytes(b"precious")
+    with RunningAgent(arguments) as agent:
+        assert agent.end() == 1
+    assert not (tmp_path / "feed").exists()
+    assert (tmp_path / "run" / "robot" / "robot.mcap").read_bytes() == b"precious"
+
+
 def test_a_reader_that_goes_away_ends_it_cleanly():
     command = f"{sys.executable} -m linkrover agent --json --interface lo --utilization-rate 50 | head -n 3"
     done = subprocess.run(["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, timeout=60)

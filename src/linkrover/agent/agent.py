@@ -101,7 +101,9 @@ class Agent:
         self._complained_ns: dict[str, int] = {}
         self._start_ns = 0
         self._stopping = False
+        self._opened = False
         self._started = False
+        self._closed = False
 
     def add_sink(self, sink: Sink) -> None:
         """Also give every record from now on to this sink."""
@@ -144,18 +146,40 @@ class Agent:
             self._complained_ns[title] = now_ns + _COMPLAINT_PERIOD_NS
             self.log.warning("%s: %s", title, text, exc_info=trace)
 
-    def start(self) -> None:
-        """Open everything and put the jobs on the schedule; the loop need not run yet.
+    def open(self) -> None:
+        """Take what this machine may refuse: ports, the feed's path, keys. Nothing is measured or recorded yet.
 
         Raises:
             ConfigError: a port, key or path that cannot be had. What was opened is closed again.
         """
-        self._started = True
+        self._opened = True
         try:
-            self._open()
+            self._open_network()
         except BaseException:
-            self._close()
+            self.close()
             raise
+
+    def start(self) -> None:
+        """Put the jobs on the schedule; the loop need not run yet.
+
+        Raises:
+            ConfigError: as open().
+        """
+        if not self._opened:
+            self.open()
+        self._started = True
+        self._start_ns = time.monotonic_ns()
+        try:
+            for probing in self.probings:
+                probing.start(self._start_ns)
+            self._start_sources()
+            for part in self.parts:
+                self._closers.append(part.stop)
+                part.start(self)
+        except BaseException:
+            self.close()
+            raise
+        self.every(self.config.rates.account_hz, lambda: (self._account.settle(),), name="account")
 
     def run(self) -> None:
         """Start, run for config.duration_s or until stopped, and close everything."""
@@ -166,7 +190,7 @@ class Agent:
         try:
             self.loop.run()
         finally:
-            self._close()
+            self.close()
 
     def request_stop(self) -> None:
         """Stop soon; safe in a signal handler and from another thread."""
@@ -197,7 +221,7 @@ class Agent:
             return
         self.loop.at(now_ns + 20_000_000, lambda: self._await_flights(until_ns))
 
-    def _open(self) -> None:
+    def _open_network(self) -> None:
         config = self.config
         if config.reflect:
             port = DEFAULT_PORT if config.reflector.port is None else config.reflector.port
@@ -212,17 +236,9 @@ class Agent:
             self._closers.append(self.feed.close)
         if config.probe.rate_hz > 0:
             self.probings = tuple(Probing(self, peer) for peer in config.peers)
-        self._start_ns = time.monotonic_ns()
-        for probing in self.probings:
-            probing.start(self._start_ns)
-            self._closers.append(probing.stop)
-        self._open_sources()
-        for part in self.parts:
-            part.start(self)
-            self._closers.append(part.stop)
-        self.every(config.rates.account_hz, lambda: (self._account.settle(),), name="account")
+            self._closers += [probing.stop for probing in self.probings]
 
-    def _open_sources(self) -> None:
+    def _start_sources(self) -> None:
         rates = self.config.rates
         if not self.watches:
             return
@@ -255,7 +271,11 @@ class Agent:
         stamp = now()
         self.publish(LinkEvent(wall_ns=stamp.wall_ns, mono_ns=stamp.mono_ns, iface=iface, kind=kind, detail=detail))
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Give back everything and close the sinks; run() does it at its end."""
+        if self._closed:
+            return
+        self._closed = True
         for job in self._jobs:
             job.cancel()
         for closer in reversed(self._closers):

@@ -182,6 +182,8 @@ def _run(measuring: Agent, settings: AgentConfig, *, json: bool, plain: bool) ->
     interrupted = _Interrupted(measuring)
     recorder: Recorder | None = None
     try:
+        # first what may be refused, so that no empty recording is left behind
+        measuring.open()
         if settings.record is not None:
             recorder = _record_to(measuring, Path(settings.record) / settings.role.value)
             if not view_on:
@@ -196,6 +198,7 @@ def _run(measuring: Agent, settings: AgentConfig, *, json: bool, plain: bool) ->
             _add_log(measuring, out, settings.log_period_s)
         measuring.run()
     finally:
+        measuring.close()
         logging.getLogger("linkrover").removeHandler(handler)
         for line in handler.held or ():
             errors.write(line)
