@@ -189,10 +189,9 @@ class _Clock:
     def nanoseconds(self, table: Columns) -> Times:
         import numpy as np
 
-        out: Times = np.asarray(table["mono_ns"], dtype=np.int64) + self._offset
-        if self._shift is not None:
-            out = out + self._shift.at(out)
-        return out
+        mono = np.asarray(table["mono_ns"], dtype=np.int64)
+        wall: Times = mono + np.int64(self._offset)
+        return wall if self._shift is None else np.asarray(wall + self._shift.at(wall), dtype=np.int64)
 
     def seconds(self, table: Columns, origin: int) -> NDArray[np.float64]:
         out: NDArray[np.float64] = (self.nanoseconds(table) - origin) / 1e9
@@ -222,7 +221,8 @@ class Shift:
         """The shift at each time of the end's clock."""
         import numpy as np
 
-        return np.rint(np.interp(wall_ns - self._from, self._knots, self._values)).astype(np.int64)
+        shift = np.interp(wall_ns - self._from, self._knots, self._values)
+        return np.asarray(np.rint(shift), dtype=np.int64)
 
 
 def _join_clocks(raws: dict[str, RawEnd], published: bool, problems: list[str]) -> tuple[dict[str, Shift], Clock]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from linkrover.analysis.run import Run
 from linkrover.analysis.summary import RunSummary
 
+from .place_words import place_words
 from .run_words import limits, overview, summary_words
 from .table import Column, Table, latex, markdown, terminal
 from .tables import label, run_table, table_three, table_two
@@ -41,10 +42,12 @@ def build_document(summaries: Sequence[RunSummary], runs: Sequence[Run] = (), ne
     document = Document(f"LinkRover report: {title}")
     document.sections.append(Section("In short", overview(summaries)))
     document.sections.extend(comparison_sections(summaries, runs, needs))
-    for summary in summaries:
+    for i, summary in enumerate(summaries):
         section = Section(label(summary), summary_words(summary), [run_table(summary)])
         if summary.outages:
             section.tables.append(outage_table(summary))
+        if summary.method == "linkrover" and i < len(runs):
+            section.words += place_words(runs[i])
         if summary.recoveries:
             section.tables.append(recovery_table(summary))
         document.sections.append(section)
@@ -56,22 +59,25 @@ def comparison_sections(
     summaries: Sequence[RunSummary], runs: Sequence[Run] = (), needs: Sequence[str] = ()
 ) -> list[Section]:
     """Set-ups side by side, and what may be said about their differences."""
-    if len(summaries) < 2 and summaries[0].method != "pandey2022":
-        return []
     from linkrover.analysis.effects import factor_effects, holm
     from linkrover.analysis.matching import still_effects
+    from linkrover.analysis.needs import parse_needs, recommend
 
     from .comparison import case_key, case_table, effect_table, effect_words
+    from .recommendation import need_table, need_words
 
     ordered = sorted(summaries, key=lambda s: (*case_key(s.case or ""), s.trial or 0))
     side = Section("Set-ups side by side", [], [table_two(ordered), table_three(ordered)])
-    sections = [side]
+    sections = [side] if len(summaries) > 1 or summaries[0].method == "pandey2022" else []
     if len(summaries) > 1 and all(s.method == "linkrover" for s in summaries):
         if (cases := case_table(ordered)) is not None:
             side.tables.append(cases)
         effects = holm([*factor_effects(summaries), *still_effects(runs)])
         table = effect_table(effects)
         sections.append(Section("What the set-ups change", effect_words(effects), [table] if table else []))
+    if needs:
+        fits = recommend(summaries, parse_needs(needs), runs)
+        sections.append(Section("Which set-up for which traffic", need_words(fits), [need_table(fits)]))
     return sections
 
 
