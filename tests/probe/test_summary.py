@@ -70,11 +70,11 @@ def test_ipdv_skips_over_a_lost_probe():
     assert (s.back.sent, s.back.lost) == (2, 0)
 
 
-def test_the_last_record_of_a_probe_counts_and_refused_probes_are_not_lost():
+def test_the_last_record_of_a_probe_counts_and_refused_probes_are_unanswered_but_not_lost():
     late = answered(2, 1, 2100, state=ProbeState.LATE)
     s = summarise([answered(1, 1, 1), unanswered(2, ProbeState.LOST), late, unanswered(3, ProbeState.NOT_SENT)])
     assert (s.sent, s.answered, s.late, s.lost, s.not_sent) == (2, 1, 1, 0, 1)
-    assert s.loss == 0.5
+    assert s.loss == pytest.approx(2 / 3), "of three probes due one was answered in time"
 
 
 def test_nothing_at_all_gives_a_summary_of_nothing():

@@ -59,7 +59,7 @@ class StampSender:
         on_result: receives the results.
         period_ns: 1 ms to 1 s between probes.
         deadline_ns: an answer after this is late.
-        count: stop sending after this many slots; None = until stop().
+        count: stop after this many slots of the schedule, missed ones included; None = until stop().
         key: shared secret of authenticated mode.
         ssid: session identifier (RFC 8972, 3), 1 to 65535; chosen at random by default.
         size: UDP payload octets; the base packet (44, authenticated 112) is padded up to it.
@@ -221,13 +221,12 @@ class StampSender:
             self._sock = None
 
     def _turn(self, slot: Slot) -> None:
-        self.counters.missed_slots += slot.missed
-        if self._count is not None:
-            self._count -= 1
-            if self._count <= 0:
-                self.stop_sending()
-                if self._count < 0:
-                    return
+        beyond = max(0, slot.index - self._count) if self._count is not None else 0
+        self.counters.missed_slots += slot.missed - min(beyond, slot.missed)
+        if self._count is not None and slot.index >= self._count - 1:
+            self.stop_sending()
+            if slot.index >= self._count:
+                return
         sequence = self._next_sequence
         self._next_sequence += 1
         now = stamps.pair()

@@ -26,9 +26,11 @@ IP_RECVTTL = 12
 IP_RECVTOS = 13
 IPV6_RECVERR = 25
 MSG_ERRQUEUE = 0x2000
-_TX_SOFTWARE, _RX_SOFTWARE, _SOFTWARE, _OPT_ID, _OPT_TSONLY = 1 << 1, 1 << 3, 1 << 4, 1 << 7, 1 << 11
+_RX_SOFTWARE, _SOFTWARE, _OPT_ID, _TX_SCHED, _OPT_TSONLY = 1 << 3, 1 << 4, 1 << 7, 1 << 8, 1 << 11
 _RECEIVE_FLAGS = _RX_SOFTWARE | _SOFTWARE
-_SEND_FLAGS = _RECEIVE_FLAGS | _TX_SOFTWARE | _OPT_ID | _OPT_TSONLY
+# TX_SCHED stamps before the packet scheduler. TX_SOFTWARE would stamp behind it, in the driver, and hide what a full
+# queue of this machine does to every packet.
+_SEND_FLAGS = _RECEIVE_FLAGS | _TX_SCHED | _OPT_ID | _OPT_TSONLY
 _ORIGIN_ICMP, _ORIGIN_ICMP6, _ORIGIN_TIMESTAMPING = 2, 3, 4
 _EXTENDED_ERROR = struct.Struct("=IBBBBII")
 

@@ -46,9 +46,10 @@ class Direction(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ProbeSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """Of one series. loss = (lost + late) / sent: probes without an answer by their deadline.
+    """Of one series. loss: share of all probes due that had no answer by their deadline, whatever the reason.
 
-    lost counts probes never answered, late those answered after the deadline. reordered: answers that came after one
+    lost counts probes never answered, late those answered after the deadline, not_sent those the local stack refused
+    (no route, full queue); loss = (lost + late + not_sent) / (sent + not_sent). reordered: answers that came after one
     to a later probe (RFC 4737). clocks: how many send and receive times are the kernel's and the user clock's.
     """
 
@@ -142,7 +143,7 @@ def summarise(results: Iterable[ProbeResult], *, offset: ClockOffset | None = No
         lost_back=back,
         lost_unknown=lost - forward - back,
         not_sent=len(probes) - len(sent),
-        loss=(len(sent) - len(in_time)) / len(sent) if sent else None,
+        loss=(len(probes) - len(in_time)) / len(probes) if probes else None,
         duplicates=sum(p.duplicates for p in came),
         reordered=sum(p.reordered for p in came),
         rtt=distribution(p.rtt_ns for p in came if p.rtt_ns is not None),
