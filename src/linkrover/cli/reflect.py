@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json as json_module
+import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -17,6 +19,9 @@ from linkrover.probe.reflector import ReflectorCounters, StampReflector
 
 from . import _units
 
+if TYPE_CHECKING:
+    from linkrover.stress.server import StressServer
+
 REPORT_NS = 10_000_000_000
 
 
@@ -25,6 +30,9 @@ def reflect(
     bind: str = "",
     port: int = DEFAULT_PORT,
     key_file: Path | None = None,
+    allow_stress: bool = False,
+    stress_token_file: Path | None = None,
+    stress_port: int | None = None,
     duration: float | None = None,
     json: bool = False,
     quiet: bool = False,
@@ -39,6 +47,9 @@ def reflect(
         port: UDP port. STAMP's own port 862 needs root; use it where the sender cannot be told another.
         key_file: File with the shared key (make one with `openssl rand -hex 32`): only packets authenticated with it
             are answered.
+        allow_stress: Also let `linkrover stress` load the link to here, for whoever holds the token that is printed.
+        stress_token_file: File with the token to use instead of a new one; implies --allow-stress.
+        stress_port: TCP port of the stress consent server, 8621 by default.
         duration: Stop after this many seconds.
         json: Print the counters as one JSON object at the end and nothing else.
         quiet: Print nothing but errors.
@@ -57,6 +68,11 @@ def reflect(
     key = load_key(key_file) if key_file else None
     reflector = StampReflector(loop, bind, port, key=key, on_session=announce)
     reflector.start()
+    stress = (
+        _stress_server(stress_token_file, bind, stress_port, reflector.port, talks=talks)
+        if allow_stress or stress_token_file is not None
+        else None
+    )
     shown = ReflectorCounters()
 
     def report() -> None:
@@ -74,12 +90,38 @@ def reflect(
         loop.run(None if duration is None else time.monotonic_ns() + round(duration * 1e9))
         report()
     finally:
+        if stress is not None:
+            stress.stop()
         reflector.stop()
         loop.close()
         restore()
     if json:
         print(json_module.dumps(msgspec.to_builtins(reflector.counters), indent=2))
     return 0
+
+
+def _stress_server(
+    token_file: Path | None, bind: str, port: int | None, reflector_port: int, *, talks: bool
+) -> StressServer:
+    from linkrover.stress.protocol import DEFAULT_PORT as STRESS_PORT
+    from linkrover.stress.protocol import load_token, new_token
+    from linkrover.stress.server import StressServer
+
+    token = load_token(token_file) if token_file is not None else new_token().encode()
+    server = StressServer(
+        token,
+        bind,
+        STRESS_PORT if port is None else port,
+        reflector_port=reflector_port,
+        on_event=(lambda text: print(text, flush=True)) if talks else None,
+    )
+    server.start()
+    if token_file is None:
+        # also with --quiet and --json: without it nobody could use what was asked for
+        print(f"stress allowed on TCP port {server.port}; token: {token.decode()}", file=sys.stderr, flush=True)
+    elif talks:
+        print(f"stress allowed on TCP port {server.port} with the token in {token_file}", flush=True)
+    return server
 
 
 def describe(counters: ReflectorCounters) -> str:
