@@ -202,7 +202,11 @@ def test_all_launch_files_start_and_live_beside_each_other_on_one_master(master:
         running.append(programs.start(command, master.environment()))
         if len(running) == 1:
             wait_for(lambda: "started with pid" in programs.log(running[0]), "the first launch has set the run_id")
-    wait_for(has(master, *(wanted for _, _, wanted in LAUNCHES)), "all topics", 60)
+    try:
+        wait_for(has(master, *(wanted for _, _, wanted in LAUNCHES)), "all topics", 25)
+    except AssertionError:
+        print(topics(master), *(programs.log(launch)[-800:] for launch in running), sep="\n")
+        raise
     assert all("process has died" not in programs.log(launch) for launch in running)
     for launch in running:
         launch.send_signal(2)
