@@ -294,6 +294,36 @@ def test_short_tokens_and_wrong_profiles_are_refused(tmp_path):
         load.profile("bulk", 1e6)
 
 
+def test_an_agent_consents_with_a_token_file(tmp_path):
+    from linkrover.agent import Agent, AgentConfig
+    from linkrover.agent.config import Reflector, Stress
+
+    path = tmp_path / "token"
+    path.write_bytes(TOKEN + b"\n")
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    agent = Agent(
+        AgentConfig(
+            reflect=True, reflector=Reflector(host="127.0.0.1", port=0), stress=Stress(token_file=str(path), port=port)
+        )
+    )
+    agent.start()
+    thread = threading.Thread(target=agent.run)
+    thread.start()
+    try:
+        client = StressClient("127.0.0.1", TOKEN, port)
+        client.connect()
+        assert client.probe_port() == agent.reflector.port
+        [idle] = client.run(load.profile("camera"), seconds=0.3, phases=("idle",)).phases
+        assert idle.probes.answered > 0
+        client.close()
+    finally:
+        agent.request_stop()
+        thread.join(20)
+    with pytest.raises(StressError, match="no consent server"):
+        StressClient("127.0.0.1", TOKEN, port).connect()
+
+
 def run(*args, **options):
     return subprocess.run(args, capture_output=True, text=True, timeout=90, **options)
 

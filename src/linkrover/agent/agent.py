@@ -231,6 +231,8 @@ class Agent:
             )
             self.reflector.start()
             self._closers.append(self.reflector.stop)
+        if config.stress.token_file is not None:
+            self._consent_to_stress(config.stress.token_file)
         if config.feed is not None:
             self.feed = FeedReceiver(self.loop, config.feed, self.publish)
             self._closers.append(self.feed.close)
@@ -266,6 +268,22 @@ class Agent:
             return records
 
         return sample
+
+    def _consent_to_stress(self, token_file: str) -> None:
+        from linkrover.stress.protocol import DEFAULT_PORT as STRESS_PORT
+        from linkrover.stress.protocol import load_token
+        from linkrover.stress.server import StressServer
+
+        given = self.config.stress.port
+        server = StressServer(
+            load_token(token_file),
+            self.config.reflector.host,
+            STRESS_PORT if given is None else given,
+            reflector_port=self.reflector.port if self.reflector is not None else None,
+            on_event=self.log.info,
+        )
+        server.start()
+        self._closers.append(server.stop)
 
     def _interface_changed(self, iface: str, kind: EventKind, detail: str) -> None:
         stamp = now()

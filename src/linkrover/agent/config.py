@@ -42,6 +42,13 @@ class Reflector(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     port: int | None = None
 
 
+class Stress(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Consent to `linkrover stress` from whoever holds the token in token_file; None = no consent."""
+
+    token_file: str | None = None
+    port: int | None = None
+
+
 class Outage(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A time without an answered probe longer than threshold_s is an outage."""
 
@@ -70,6 +77,7 @@ class AgentConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     probe: Probe = msgspec.field(default_factory=Probe)
     reflector: Reflector = msgspec.field(default_factory=Reflector)
     outage: Outage = msgspec.field(default_factory=Outage)
+    stress: Stress = msgspec.field(default_factory=Stress)
     notes: dict[str, str] = {}
 
 
@@ -128,6 +136,7 @@ def check(config: AgentConfig, file: str = "configuration") -> AgentConfig:
         ("duration_s", config.duration_s, 0.001, 1e9),
         ("trial", config.trial, 0, 1e9),
         ("reflector.port", config.reflector.port, 0, 65535),
+        ("stress.port", config.stress.port, 0, 65535),
     ):
         if value is not None and not least <= value <= most:
             raise ConfigError(f"{file}: {key} = {value}: must be within {least:g} to {most:g}")

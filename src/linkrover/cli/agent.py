@@ -44,6 +44,7 @@ def agent(
     probe_rate: float | None = None,
     port: int | None = None,
     key_file: Path | None = None,
+    stress_token_file: Path | None = None,
     case: str | None = None,
     trial: int | None = None,
     run: str | None = None,
@@ -101,6 +102,8 @@ def agent(
         UDP port on which --reflect listens.
     key_file
         File with the shared key of authenticated probes (RFC 8762), at both ends.
+    stress_token_file
+        Let `linkrover stress` load the link to here, for whoever holds the token in this file (docs/stress.md).
     case
         Name of the set-up under test, for the recording.
     trial
@@ -143,6 +146,7 @@ def agent(
             },
             "probe": {"rate_hz": probe_rate, "key_file": key_file},
             "reflector": {"port": port},
+            "stress": {"token_file": stress_token_file},
         },
     )
     measuring = Agent(settings)

@@ -38,8 +38,8 @@ def stress(
     """Measure round trip and loss while the link is idle, loaded up (to HOST), down, and both ways.
 
     HOST must consent: there, run `linkrover reflect --allow-stress` (it prints a token) or an agent with
-    --allow-stress. Load goes to that end only, after both ends have proved that they hold the token. Give the token in
-    the environment variable LINKROVER_STRESS_TOKEN or with --token-file.
+    --stress-token-file. Load goes to that end only, after both ends have proved that they hold the token. Give the
+    token in the environment variable LINKROVER_STRESS_TOKEN or with --token-file.
 
     The robot's other traffic suffers while this runs: do not do it while the robot drives among people.
 

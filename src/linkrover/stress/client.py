@@ -314,7 +314,7 @@ class StressClient:
         except OSError as error:
             raise StressError(
                 f"no consent server at {self._host} TCP port {self._port} ({error.strerror or error}): start "
-                "`linkrover reflect --allow-stress` or an agent with --allow-stress there"
+                "`linkrover reflect --allow-stress` or an agent with --stress-token-file there"
             ) from error
 
     def _expect(self, line: Line, kind: type[_M]) -> _M:
