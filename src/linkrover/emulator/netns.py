@@ -24,6 +24,7 @@ from linkrover.errors import LinkRoverError
 
 CLONE_NEWUSER = 0x10000000  # include/uapi/linux/sched.h
 CLONE_NEWNET = 0x40000000
+CAP_SYS_ADMIN = 21  # include/uapi/linux/capability.h
 
 TUNSETIFF = 0x400454CA  # include/uapi/linux/if_tun.h
 IFF_TUN, IFF_NO_PI = 0x0001, 0x1000
@@ -119,13 +120,8 @@ def become_namespace_root() -> bool:
         NotPermittedError: neither is allowed here.
     """
     check_tun()
-    try:
-        _in_thread(lambda: _unshare(CLONE_NEWNET))
-    except PermissionError:
-        pass  # an ordinary user: the user namespace below
-    except OSError as error:
-        raise _no_netns(error) from error
-    else:
+    if _has_capability(CAP_SYS_ADMIN):
+        _try_netns()
         return False
     uid, gid = os.geteuid(), os.getegid()
     if uid == 0:
@@ -146,6 +142,18 @@ def become_namespace_root() -> bool:
         # Ubuntu from 24.04 lets an unprivileged process make a user namespace, then denies it all capabilities
         raise _no_userns(error) from error
     return True
+
+
+def _has_capability(number: int) -> bool:
+    status = Path("/proc/self/status").read_text()
+    return bool(int(status.partition("CapEff:")[2].split()[0], 16) >> number & 1)
+
+
+def _try_netns() -> None:
+    try:
+        _in_thread(lambda: _unshare(CLONE_NEWNET))
+    except OSError as error:
+        raise _no_netns(error) from error
 
 
 def check_tun(path: str = TUN_PATH) -> None:

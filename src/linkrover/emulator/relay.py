@@ -91,6 +91,13 @@ class Relay:
         gc.collect()
         gc.freeze()
         gc.disable()
+        try:
+            self._run()
+        finally:
+            gc.enable()
+            gc.unfreeze()
+
+    def _run(self) -> None:
         medium, mono = self.medium, time.monotonic_ns
         fds = [*self._by_fd, *self._readers]
         next_tick = mono()

@@ -1,0 +1,153 @@
+from __future__ import annotations
+
+import errno
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from linkrover.emulator import enter, netns
+from linkrover.emulator.netns import NotPermittedError, check_tun, in_namespace, make_host
+
+from .needs import as_nobody, packets
+
+pytestmark = pytest.mark.netns
+
+
+@pytest.fixture
+def host():
+    packets()
+    made = make_host("robot", "10.77.0.2")
+    yield made
+    made.close()
+
+
+def namespaces_of_processes():
+    found = set()
+    for entry in Path("/proc").glob("[0-9]*/ns/net"):
+        try:
+            found.add(str(entry.readlink()))
+        except OSError:
+            continue
+    return found
+
+
+def test_a_host_has_loopback_and_one_device_and_this_process_stays_where_it_was(host):
+    before = str(Path("/proc/self/ns/net").readlink())
+    inside = in_namespace(host.netns_fd, lambda: sorted(name for _, name in socket.if_nameindex()))
+    assert inside == ["lo", "wlan0"]
+    assert str(Path("/proc/self/ns/net").readlink()) == before
+    assert str(Path(f"/proc/self/fd/{host.netns_fd}").readlink()) != before
+
+
+def test_packets_of_a_program_inside_arrive_at_the_device(host):
+    handle = in_namespace(host.netns_fd, lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+    handle.sendto(b"hello", ("10.77.0.1", 9))
+    handle.close()
+    packet = os.read(host.tun_fd, 2048)
+    assert packet.endswith(b"hello")
+    assert packet[16:20] == bytes([10, 77, 0, 1])
+
+
+def test_a_program_started_inside_sees_the_devices_of_its_namespace_in_sys_and_proc(host):
+    code = "import os; print(sorted(os.listdir('/sys/class/net')), 'wlan0' in open('/proc/net/dev').read())"
+    out = subprocess.run(
+        [sys.executable, "-I", "-S", enter.__file__, str(host.netns_fd), "--", sys.executable, "-c", code],
+        pass_fds=[host.netns_fd], capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+    assert out.strip() == "['lo', 'wlan0'] True"
+
+
+def test_a_program_dies_with_the_emulator_even_when_that_is_killed():
+    starter = (
+        "import subprocess, sys, time\n"
+        f"child = subprocess.Popen([sys.executable, '-I', '-S', {enter.__file__!r}, '-1', '--', 'sleep', '60'],"
+        " start_new_session=True)\n"
+        "print(child.pid, flush=True)\ntime.sleep(60)\n"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", starter], stdout=subprocess.PIPE, text=True)
+    child = int(parent.stdout.readline())
+    while Path(f"/proc/{child}/comm").read_text().strip() != "sleep":
+        pass  # on its way through enter.py
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    for _ in range(500):
+        try:
+            state = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[0]
+        except FileNotFoundError:
+            return
+        if state == "Z":
+            return
+        subprocess.run(["sleep", "0.01"])
+    raise AssertionError("the program outlived the killed emulator")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status"), [(["-1", "--", "/nonexistent"], 127), (["-1", "--", "/etc/hosts"], 126), (["x"], 1)]
+)
+def test_what_cannot_be_started_has_the_shells_status(arguments, status):
+    done = subprocess.run([sys.executable, enter.__file__, *arguments], capture_output=True)
+    assert done.returncode == status
+
+
+def test_nothing_is_left_of_a_host_when_its_descriptors_are_closed():
+    packets()
+    made = make_host("robot", "10.77.0.2")
+    name = str(Path(f"/proc/self/fd/{made.netns_fd}").readlink())
+    made.close()
+    assert name not in namespaces_of_processes()
+    assert name not in Path("/proc/self/mountinfo").read_text()
+
+
+def test_a_missing_or_closed_device_is_named_with_the_command_that_helps(tmp_path, monkeypatch):
+    with pytest.raises(NotPermittedError, match=r"does not exist.*modprobe tun"):
+        check_tun(str(tmp_path / "tun"))
+
+    def refuse(*_):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(netns.os, "open", refuse)
+    with pytest.raises(NotPermittedError, match=r"permission to open /dev/net/tun.*sudo chmod 0666 /dev/net/tun"):
+        check_tun()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("kernel.apparmor_restrict_unprivileged_userns", "1", "sudo sysctl -w kernel.apparmor_restrict_unprivileged_"),
+        ("kernel.unprivileged_userns_clone", "0", "sudo sysctl -w kernel.unprivileged_userns_clone=1"),
+        ("user.max_user_namespaces", "0", "sudo sysctl -w user.max_user_namespaces=10000"),
+    ],
+)
+def test_a_sysctl_that_forbids_user_namespaces_is_named_with_its_command(name, value, expected, monkeypatch):
+    real = Path.read_text
+    asked = Path("/proc/sys") / name.replace(".", "/")
+
+    def read(self, *args, **kwargs):
+        if self == asked:
+            return value + "\n"
+        if self.is_relative_to("/proc/sys/kernel") or self.is_relative_to("/proc/sys/user"):
+            raise FileNotFoundError
+        return real(self, *args, **kwargs)
+
+    monkeypatch.setattr(Path, "read_text", read)
+    error = netns._no_userns(PermissionError(errno.EPERM, "Operation not permitted"))
+    assert expected in error.grant
+    assert name in error.missing
+
+
+def test_an_ordinary_user_makes_hosts_where_the_device_is_open_to_him(tmp_path):
+    packets()
+    code = (
+        "import os\nfrom linkrover.emulator.netns import become_namespace_root, make_host\n"
+        "print(become_namespace_root(), os.getuid()); make_host('x', '10.77.0.9').close()\n"
+    )
+    command = as_nobody(0o666, [sys.executable, "-c", code], str(tmp_path))
+    done = subprocess.run(command, capture_output=True, text=True)
+    if "user namespaces" in done.stderr:
+        pytest.skip(f"this kernel or container forbids them: {done.stderr.strip().splitlines()[-1]}")
+    assert done.stdout.split() == ["True", "0"], done.stderr
