@@ -4,13 +4,17 @@ import os
 import random
 import socket
 import struct
+import threading
 import time
 
 import pytest
 
+import linkrover
 from linkrover.errors import ConfigError
 from linkrover.loop import Loop
+from linkrover.probe import packet
 from linkrover.probe.reflector import StampReflector
+from linkrover.probe.version import ask_version
 
 from .exchange import received, run_until, running_reflector, udp
 
@@ -177,3 +181,17 @@ def test_counters_and_sockets_survive_stop_and_a_second_start():
     reflector.stop()
     reflector.stop()
     loop.close()
+
+
+@pytest.mark.parametrize("key", [None, KEY])
+def test_our_reflector_tells_its_version_and_another_makes_none(key):
+    with running_reflector(key=key) as (loop, reflector):
+        thread = threading.Thread(target=loop.run)
+        thread.start()
+        assert ask_version("127.0.0.1", reflector.port, key=key) == linkrover.__version__
+        loop.stop()
+        thread.join(10)
+        assert ask_version("127.0.0.1", reflector.port, key=key, timeout_s=0.05) is None
+    request = packet.encode_sender(packet.SenderPacket(1, 1)) + packet.version_request()
+    assert packet.version_of(request) is None, "a reflector that returns the TLV as it came is another make"
+    assert packet.version_of(b"") is None

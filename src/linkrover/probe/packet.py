@@ -11,6 +11,7 @@ import struct
 
 import msgspec
 
+from linkrover import __version__
 from linkrover.errors import ParseError
 
 DEFAULT_PORT = 8620
@@ -30,6 +31,9 @@ _NTP_ERA = 1 << 64
 _TLV_UNRECOGNISED = 0x80
 _TLV_MALFORMED = 0x40
 _TLV_EXTRA_PADDING = 1
+_TLV_PRIVATE = 252  # RFC 8972, 5.1: 252 to 254 are for private use
+_VERSION_MAGIC = b"LinkRover\0"
+_VERSION_BYTES = 40
 
 _ZEROS = bytes(BASE_BYTES - 16)
 _SENDER = struct.Struct(">IQHH28x")
@@ -144,6 +148,25 @@ def padding(octets: int) -> bytes:
     return struct.pack(">BBH", _TLV_UNRECOGNISED, _TLV_EXTRA_PADDING, octets - 4) + bytes(octets - 4)
 
 
+def version_request() -> bytes:
+    """A TLV to put behind a test packet: one of our reflectors writes its version there (see version_of)."""
+    return struct.pack(">BBH", _TLV_UNRECOGNISED, _TLV_PRIVATE, _VERSION_BYTES) + _VERSION_MAGIC.ljust(
+        _VERSION_BYTES, b"\0"
+    )
+
+
+def version_of(data: bytes, *, authenticated: bool = False) -> str | None:
+    """The LinkRover version in an answer to a packet with version_request(); None where the reflector is another."""
+    tlv = data[AUTHENTICATED_BYTES if authenticated else BASE_BYTES :]
+    if len(tlv) < 4 + _VERSION_BYTES or tlv[0] & _TLV_UNRECOGNISED or tlv[1] != _TLV_PRIVATE:
+        return None
+    value = tlv[4 : 4 + _VERSION_BYTES]
+    if not value.startswith(_VERSION_MAGIC):
+        return None
+    text = value[len(_VERSION_MAGIC) :].rstrip(b"\0").decode("ascii", "replace")
+    return text if text.isprintable() and text else None
+
+
 def decode_sender(data: bytes, *, key: bytes | None = None) -> SenderPacket:
     """Read a Session-Sender's (or a TWAMP-Light sender's) packet.
 
@@ -244,6 +267,10 @@ def _reflect_tlvs(tlvs: bytes) -> bytes:
             break
         if kind == _TLV_EXTRA_PADDING:
             out[at] &= ~(_TLV_UNRECOGNISED | _TLV_MALFORMED) & 0xFF
+        elif kind == _TLV_PRIVATE and out[at + 4 : at + 4 + length] == _VERSION_MAGIC.ljust(_VERSION_BYTES, b"\0"):
+            out[at] &= ~(_TLV_UNRECOGNISED | _TLV_MALFORMED) & 0xFF
+            said = _VERSION_MAGIC + __version__.encode()[: _VERSION_BYTES - len(_VERSION_MAGIC)]
+            out[at + 4 : at + 4 + length] = said.ljust(_VERSION_BYTES, b"\0")
         else:
             out[at] |= _TLV_UNRECOGNISED
         at += 4 + length
