@@ -142,7 +142,7 @@ class Relay:
         data = packet.data
         receiver = self._by_address.get(data[16:20])
         if receiver is None:
-            if data[0] >> 4 != 4 or not (data[16] >= 224 or data[19] == 255):
+            if len(data) < 20 or data[0] >> 4 != 4 or not (data[16] >= 224 or data[19] == 255):
                 self.unroutable += 1
                 return
             receiver = EVERYONE
