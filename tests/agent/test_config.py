@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import contextlib
+import re
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -61,6 +63,7 @@ def test_an_unknown_key_is_an_error_that_proposes_the_nearest(text, key, proposa
         ("[rates]\nwireless_hz = 5000", "rates.wireless_hz = 5000"),
         ("[rates]\nwireless_hz = -1", "rates.wireless_hz = -1"),
         ("[rates]\nwireless_hz = nan", "rates.wireless_hz = nan"),
+        ("[probe]\nrate_hz = 0.5", "probe.rate_hz = 0.5: must be 0 (off) or 1 to 1000 Hz"),
         ("duration_s = 0", "duration_s = 0"),
         ("[probe]\ndeadline_s = inf", "probe.deadline_s = inf"),
         ('interfaces = ["a", "a"]', "a is named twice"),
@@ -77,6 +80,15 @@ def test_a_value_that_cannot_be_used_is_named_with_its_key(text, words):
 def test_a_file_that_is_not_there_is_named():
     with pytest.raises(ConfigError, match=r"/nowhere/agent.toml"):
         load_config("/nowhere/agent.toml")
+
+
+def test_the_configuration_in_the_docs_is_accepted_and_shows_the_defaults():
+    text = (Path(__file__).parents[2] / "docs" / "agent.md").read_text()
+    toml = text.split("```toml\n")[1].split("```")[0]
+    shown, defaults = parse_config(toml), AgentConfig()
+    for table in ("rates", "probe", "reflector", "outage", "log_period_s", "scan_period_s", "wait", "reflect"):
+        assert getattr(shown, table) == getattr(defaults, table), table
+    parse_config(re.sub(r"(?m)^# (\w+ = )", r"\1", toml))
 
 
 NAMES = st.text(st.characters(blacklist_categories=("Cs",)), max_size=12)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import pty
 import signal
 import socket
 import subprocess
@@ -11,10 +12,10 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from linkrover.agent import FeedSender
+from linkrover.agent import Agent, AgentConfig, FeedSender, Reflector
 from linkrover.bag.recorder import recover
 from linkrover.probe.packet import DEFAULT_PORT
-from linkrover.records import Pose
+from linkrover.records import Pose, Unknown
 from tests.namespace import Namespace, joined
 
 from .running import RunningAgent
@@ -232,6 +233,61 @@ def test_a_reader_that_does_not_read_holds_nothing_up(tmp_path):
         assert process.stdout is not None
         process.stdout.close()
     assert (tmp_path / "robot" / "robot.mcap").exists()
+
+
+def test_a_lost_terminal_does_not_end_a_recording(tmp_path):
+    """A session over the link under test is lost in every outage."""
+    main, terminal = pty.openpty()
+    command = [sys.executable, "-m", "linkrover", "agent", "--interface", "lo", "--record", str(tmp_path)]
+    process = subprocess.Popen(command, stdout=terminal, stderr=terminal, env={**os.environ, "TERM": "xterm"})
+    os.close(terminal)
+    os.read(main, 10)
+    journal = tmp_path / "robot" / "robot.mcap.journal"
+    try:
+        process.send_signal(signal.SIGHUP)
+        os.close(main)
+        size = journal.stat().st_size
+        deadline = time.monotonic() + 30
+        while journal.stat().st_size < size + 2000:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 0
+    finally:
+        process.kill()
+        process.wait()
+    assert (tmp_path / "robot" / "robot.mcap").exists()
+
+
+def test_an_ordinary_user_may_measure():
+    if os.geteuid() != 0:
+        pytest.skip("is one already: needs root, to become one")
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            os.setgroups([])
+            os.setgid(65534)
+            os.setuid(65534)
+            status = 0 if measured_without_privileges() else 2
+        finally:
+            os._exit(status)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def measured_without_privileges():
+    class Kept(list):
+        take = list.append
+
+        def close(self):
+            pass
+
+    kept = Kept()
+    config = AgentConfig(interfaces=("lo",), duration_s=0.4, reflect=True, reflector=Reflector(port=0))
+    Agent(config, sinks=[kept]).run()
+    refused = [r for r in kept if Unknown.NOT_PERMITTED in r.unknown.values()]
+    kinds = {type(record).__name__ for record in kept}
+    return not refused and {"LinkUtilization", "NetworkErrors", "SelfAccount"} <= kinds
 
 
 def test_plain_log_lines_without_a_terminal():

@@ -118,15 +118,10 @@ def check(config: AgentConfig, file: str = "configuration") -> AgentConfig:
     Raises:
         ConfigError: names the key, the value and what is allowed.
     """
-    for section, keys in (
-        (config.rates, ("wireless_hz", "utilization_hz", "errors_hz", "account_hz", "clock_hz", "tcp_hz")),
-        (config.probe, ("rate_hz",)),
-    ):
-        name = type(section).__name__.lower()
-        for key in keys:
-            value = getattr(section, key)
-            if not (value == 0 or 0.001 <= value <= RATE_HIGHEST_HZ):
-                raise ConfigError(f"{file}: {name}.{key} = {value}: must be 0 (off) or 0.001 to {RATE_HIGHEST_HZ:g} Hz")
+    rates = [(f"rates.{field}", getattr(config.rates, field), 0.001) for field in Rates.__struct_fields__]
+    for key, hertz, lowest in [*rates, ("probe.rate_hz", config.probe.rate_hz, 1.0)]:
+        if not (hertz == 0 or lowest <= hertz <= RATE_HIGHEST_HZ):
+            raise ConfigError(f"{file}: {key} = {hertz}: must be 0 (off) or {lowest:g} to {RATE_HIGHEST_HZ:g} Hz")
     for key, value, least, most in (
         ("probe.deadline_s", config.probe.deadline_s, 0.001, 60),
         ("probe.packet_bytes", config.probe.packet_bytes, 44, 1472),

@@ -60,8 +60,8 @@ def agent(
 
     robot$ linkrover agent --interface wlan0 --peer STATION --record runs/001
 
-    Ctrl-C or SIGTERM ends it and finishes the recording. Exit status 0; 130 when Ctrl-C cut --duration short; 1 when
-    records could not be written.
+    Ctrl-C or SIGTERM ends it and finishes the recording; a lost terminal does not end one that records. Exit status
+    0; 130 when Ctrl-C cut --duration short; 1 when records could not be written.
 
     Parameters
     ----------
@@ -178,20 +178,23 @@ def _merged(path: Path | None, top: dict[str, Any], tables: dict[str, dict[str, 
 def _run(measuring: Agent, settings: AgentConfig, *, json: bool, plain: bool) -> int:
     from linkrover.live.output import Output
 
-    out = Output(sys.stdout.fileno(), on_broken=measuring.request_stop)
+    terminal, recording = sys.stdout.isatty(), settings.record is not None
+    # A terminal may be lost because the link under test is away (ssh): a recording must not end with it.
+    outlives = terminal and recording
+    out = Output(sys.stdout.fileno(), on_broken=None if outlives else measuring.request_stop)
     errors = out if not json else Output(sys.stderr.fileno())
-    view_on = not json and not plain and sys.stdout.isatty() and os.environ.get("TERM", "dumb") != "dumb"
+    view_on = not json and not plain and terminal and os.environ.get("TERM", "dumb") != "dumb"
     handler = _OutputHandler(errors)
     logging.getLogger("linkrover").addHandler(handler)
-    interrupted = _Interrupted(measuring)
+    interrupted = _Interrupted(measuring, hangup_ends=not recording)
     recorder: Recorder | None = None
     try:
         # first what may be refused, so that no empty recording is left behind
         measuring.open()
-        if settings.record is not None:
-            recorder = _record_to(measuring, Path(settings.record) / settings.role.value)
+        if recording:
+            recorder = _record_to(measuring, Path(settings.record or "") / settings.role.value)
             if not view_on:
-                errors.write(f"recording to {recorder.directory}\n")
+                errors.write(f"recording to {recorder.directory} (process {os.getpid()})\n")
         measuring.start()
         if json:
             _add_json(measuring, out)
@@ -266,12 +269,17 @@ def _add_view(measuring: Agent, out: Output, directory: Path | None) -> None:
 
 
 class _Interrupted:
-    """SIGINT and SIGTERM ask the agent to stop; a second one does not wait for the probes in flight."""
+    """SIGINT and SIGTERM ask the agent to stop; a second one does not wait for the probes in flight.
 
-    def __init__(self, measuring: Agent) -> None:
+    SIGHUP (the terminal is gone) does so too, unless a recording is to outlive it.
+    """
+
+    def __init__(self, measuring: Agent, *, hangup_ends: bool) -> None:
         self.by_keyboard = False
         self._measuring = measuring
         self._before = {number: signal.signal(number, self._take) for number in (signal.SIGINT, signal.SIGTERM)}
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup
+            self._before[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._take if hangup_ends else signal.SIG_IGN)
 
     def restore(self) -> None:
         for number, before in self._before.items():

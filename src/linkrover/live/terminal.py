@@ -85,7 +85,7 @@ class TerminalView:
         text.append(f"on {manifest.host}", style="not bold")
         text.append(f"   {ran_s // 3600}:{ran_s // 60 % 60:02}:{ran_s % 60:02}", style="not bold")
         if self._recording:
-            text.append(f"   recording to {self._recording}", style="not bold")
+            text.append(f"   recording to {self._recording} (process {os.getpid()})", style="not bold")
         text.append("   Ctrl-C ends", style="dim")
         return text
 
