@@ -47,6 +47,7 @@ class Rows:
         pose = run.pose
         self.run = run
         self.times = pose["time_ns"] if pose is not None else np.zeros(0, np.int64)
+        self._places: dict[int, tuple[NDArray[np.int64], NDArray[np.intp], Flags]] = {}
         self.delay = self._delays()
         self.lost = self.delay == -1
         command = run.robot.command if run.robot is not None else None
@@ -61,8 +62,13 @@ class Rows:
         """Each row's last value of a topic; NaN before the first."""
         import numpy as np
 
-        at = np.searchsorted(times, self.times, side="right") - 1
-        return np.where(at >= 0, np.asarray(values, np.float64)[np.maximum(at, 0)], np.nan)
+        found = self._places.get(id(times))
+        if found is None or found[0] is not times:
+            at = np.searchsorted(times, self.times, side="right") - 1
+            found = self._places[id(times)] = times, np.maximum(at, 0), at < 0
+        held = np.asarray(values, np.float64)[found[1]]
+        held[found[2]] = np.nan
+        return held
 
     def _delays(self) -> Floats:
         """The delay column: ms, -1 for a lost ping, NaN before the first."""

@@ -42,15 +42,16 @@ _WHY = {
 def with_reasons(figures: S) -> S:
     """The same figures, every group with unknown members saying why in its `reason`."""
     changes: dict[str, object] = {}
-    for field in msgspec.structs.fields(figures):
-        value = getattr(figures, field.name)
+    members = figures.__struct_fields__
+    for member in members:
+        value = getattr(figures, member)
         if isinstance(value, msgspec.Struct):
-            changes[field.name] = with_reasons(value)
+            changes[member] = with_reasons(value)
         elif isinstance(value, dict) and any(isinstance(v, msgspec.Struct) for v in value.values()):
-            changes[field.name] = {k: with_reasons(v) if isinstance(v, msgspec.Struct) else v for k, v in value.items()}
+            changes[member] = {k: with_reasons(v) if isinstance(v, msgspec.Struct) else v for k, v in value.items()}
         elif isinstance(value, list) and value and isinstance(value[0], msgspec.Struct):
-            changes[field.name] = [with_reasons(v) for v in value]
-    names = {field.name for field in msgspec.structs.fields(figures)}
+            changes[member] = [with_reasons(v) for v in value]
+    names = set(members)
     if "reason" in names:
         reason = getattr(figures, "reason") or ""  # noqa: B009 - only some structs have the field
         unknown = [n for n in sorted(names - {"reason"}) if getattr(figures, n) is None]

@@ -84,15 +84,23 @@ def stationary_bootstrap_ratio(
     out = np.empty((2, replicates))
     running = np.zeros((2, 2 * n + 1))
     running[:, 1:] = np.cumsum(np.tile(np.stack([numerator, denominator]), 2), axis=1)
-    batch = max(1, min(replicates, 4_000_000 // max(1, int(n * p) + 1)))
+    count = int(n * p + 4 * np.sqrt(n * p * (1 - p) + 1)) + 2
+    batch = max(1, min(replicates, 4_000_000 // count))
+    # a geometric length is a rounded-up exponential one, which is drawn five times faster
+    scale = -1 / np.log1p(-p) if p < 1 else 0.0
+
+    def draw(rows: int) -> NDArray[np.int64]:
+        lengths = (generator.standard_exponential((rows, count)) * scale).astype(np.int64)
+        return np.asarray(np.minimum(lengths + 1, n), dtype=np.int64)
+
     for begin in range(0, replicates, batch):
         rows = min(batch, replicates - begin)
-        count = int(n * p + 6 * np.sqrt(n * p * (1 - p) + 1)) + 2
-        lengths = np.minimum(generator.geometric(p, (rows, count)), n)
-        while lengths.sum(axis=1).min() < n:  # as good as never: the number of blocks has six sigma to spare
-            lengths = np.concatenate([lengths, np.minimum(generator.geometric(p, (rows, count)), n)], axis=1)
-        ends = np.minimum(np.cumsum(lengths, axis=1), n)
-        lengths = np.diff(ends, axis=1, prepend=0)
+        ends = np.cumsum(draw(rows), axis=1)
+        while ends[:, -1].min() < n:
+            ends = np.concatenate([ends, ends[:, -1:] + np.cumsum(draw(rows), axis=1)], axis=1)
+        np.minimum(ends, n, out=ends)
+        lengths = ends.copy()
+        lengths[:, 1:] -= ends[:, :-1]
         starts = generator.integers(0, n, lengths.shape)
         for i in range(2):
             out[i, begin : begin + rows] = (running[i][starts + lengths] - running[i][starts]).sum(axis=1)

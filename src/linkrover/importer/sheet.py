@@ -24,7 +24,6 @@ MAX_STEPS = 100 * 3600 * ODOMETRY_HZ
 FAMILY = ("time_stamp", "network_delay")
 _NEEDED = "a CSV file of the 2021 measurements (columns time_stamp, network_delay and c_* or s_*)"
 _MAX_BYTES = 2 << 30
-_INF = float("inf")
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +67,7 @@ def parse_sheet(data: bytes, file: str) -> Sheet:
     if b"\0" in data:
         raise ParseError(file, f"byte {data.index(0)}", _NEEDED, "a binary file")
     separator, names = _header(data, file)
-    raw = _cells(data, separator, len(names), file)
-    columns = _numbers(raw, names, separator, repairs)
+    columns = _numbers(_cells(data, separator, names, file), repairs)
     return _sound_rows(columns, file, repairs)
 
 
@@ -93,16 +91,23 @@ def _header(data: bytes, file: str) -> tuple[str, list[str]]:
     return separator, names
 
 
-def _cells(data: bytes, separator: str, width: int, file: str) -> pl.DataFrame:
-    """The text of every cell, column by column."""
+def _cells(data: bytes, separator: str, names: list[str], file: str) -> pl.DataFrame:
+    """Every named column: the time stamp as text, the others as numbers (null = no number there)."""
     import polars as pl
 
-    plain = separator.join(f"column {i}" for i in range(width)).encode()  # names of one kind, so none is taken twice
+    # no number holds a blank, so padding can go before anything is parsed
+    data = data.replace(b" ", b"")
+    if separator == ";":
+        data = data.replace(b",", b".")
+    labels = [name or f"#{i}" for i, name in enumerate(names)]
+    head = separator.join(f'"{label}"' for label in labels).encode()
     try:
         return pl.read_csv(
-            io.BytesIO(plain + data[data.find(b"\n") :]),
+            io.BytesIO(head + data[data.find(b"\n") :]),
             separator=separator,
-            infer_schema=False,
+            schema_overrides={label: pl.String if label == "time_stamp" else pl.Float64 for label in labels},
+            columns=[label for label in labels if not label.startswith("#")],
+            ignore_errors=True,
             truncate_ragged_lines=True,
             encoding="utf8-lossy",
         )
@@ -110,34 +115,23 @@ def _cells(data: bytes, separator: str, width: int, file: str) -> pl.DataFrame:
         raise ParseError(file, "line 2", "rows of numbers", str(error).splitlines()[0]) from error
 
 
-def _numbers(frame: pl.DataFrame, names: list[str], separator: str, repairs: list[str]) -> dict[str, Floats | Times]:
-    """Cells to float64 (NaN = no number there); `time_stamp` to integer nanoseconds (-1 = none)."""
+def _numbers(frame: pl.DataFrame, repairs: list[str]) -> dict[str, Floats | Times]:
+    """Columns as float64 (NaN = no number there); `time_stamp` in integer nanoseconds (-1 = none)."""
+    import numpy as np
     import polars as pl
 
-    wanted = [(name, frame.columns[i]) for i, name in enumerate(names) if name and i < frame.width]
-    text = frame.select([pl.col(column).str.strip_chars().alias(name) for name, column in wanted])
-    if separator == ";":
-        text = text.select(pl.all().str.replace(",", ".", literal=True))
     exact = pl.col("time_stamp").cast(pl.Int64, strict=False)
     rounded = pl.col("time_stamp").cast(pl.Float64, strict=False)
     rounded = pl.when(rounded.is_between(0, 9e18)).then(rounded).round().cast(pl.Int64, strict=False)
-    numbers = text.select(
-        exact.is_null().and_(rounded.is_not_null()).alias("#digits lost"),
-        pl.coalesce(exact, rounded).fill_null(-1).alias("time_stamp"),
-        *[
-            pl.col(n).cast(pl.Float64, strict=False).replace([_INF, -_INF], None).fill_nan(None)
-            for n in text.columns
-            if n != "time_stamp"
-        ],
-    )
-    lost = int(numbers["#digits lost"].sum())
+    stamps = frame.select(pl.coalesce(exact, rounded).fill_null(-1).alias("ns"), exact.is_null().alias("inexact"))
+    lost = int((stamps["inexact"] & (stamps["ns"] >= 0)).sum())
     if lost:
         repairs.append(f"{lost} time stamps printed in exponent form: digits lost, kept as printed (about 10 us)")
-    return {
-        s.name: (s.to_numpy() if s.name == "time_stamp" else s.fill_null(float("nan")).to_numpy())
-        for s in numbers.iter_columns()
-        if s.name != "#digits lost"
-    }
+    out: dict[str, Floats | Times] = {"time_stamp": stamps["ns"].to_numpy()}
+    for column in frame.drop("time_stamp").iter_columns():
+        values = column.to_numpy()  # null becomes NaN
+        out[column.name] = np.where(np.isinf(values), np.nan, values)
+    return out
 
 
 def _sound_rows(columns: dict[str, Floats | Times], file: str, repairs: list[str]) -> Sheet:
