@@ -1,9 +1,9 @@
 """Import and statistics of one trial of 2021: ours against a set of per-trial pandas scripts, in one run.
 
 The scripts (benchmarks/_trial_scripts.py) give the paper's means and deviations, row by row as such scripts are
-commonly written; "pandas by columns" is the same done in pandas' best way. Ours gives the same figures and everything of our own
-method too (intervals, outages, moving and still). End to end: every script is a process, as they are run; ours is one
-`linkrover report FILE --format json`. Warm: in a process that has its imports behind it.
+commonly written; "pandas by columns" is the same done in pandas' best way. Ours gives the same figures and everything
+of our own method too (intervals, outages, moving and still). End to end: every script is a process, as they are run;
+ours is one `linkrover report FILE --format json`. Warm: in a process that has its imports behind it.
 """
 
 from __future__ import annotations

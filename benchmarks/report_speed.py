@@ -116,7 +116,6 @@ def main() -> None:
         cells = (size, json_s, json_mb, html_s, html_mb, html_s / length)
         table.add_row(f"{length:g}", *(f"{c:.1f}" for c in cells))
     Console().print(table)
-    print(f"this process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
 if __name__ == "__main__":
