@@ -112,6 +112,18 @@ class Genetlink:
         name = asked or f"{self.family.name} command {command}"
         return self._socket.request(self.family.id, header + payload, dump=dump, asked=name)
 
+    def one(self, command: int, payload: bytes = b"", *, asked: str = "") -> bytes:
+        """Send a command that has one answer; it, from its genlmsghdr on.
+
+        Raises:
+            NetlinkError: as ask(), and ENODATA where the kernel only acknowledged.
+            ParseError: the answer is not netlink.
+        """
+        answers = self.ask(command, payload, asked=asked)
+        if not answers:
+            raise NetlinkError(errno.ENODATA, asked or f"{self.family.name} command {command}")
+        return answers[0]
+
     def join(self, group: str) -> bool:
         """Listen to a multicast group by name; False where the family does not have it."""
         number_ = self.family.groups.get(group)

@@ -1,7 +1,7 @@
 """Reads the radio from the kernel by nl80211: link, peers, channel, power save, regulatory domain.
 
 Reading needs no privileges. What changes with every frame (the station dump) is asked at every sample; what changes
-rarely (channel, tx power, survey, power save, country) at most once a second, or after `refresh()`.
+rarely (channel, tx power, survey, power save) once a second, the country every ten seconds, both after `refresh()`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from ..records import ChannelSurvey, Now, RadioCapability, StationLink, Unknown,
 from .genetlink import Genetlink
 from .netlink import NetlinkError, pack, u32
 from .nl80211_interface import (
-    ACCESS_POINT_MODES,
     ATTR_IFINDEX,
     ATTR_WIPHY,
     CLIENT_MODES,
@@ -27,6 +26,7 @@ from .nl80211_interface import (
     parse_regulatory,
     parse_survey,
 )
+from .nl80211_link import ALL_FIELDS, Settings, links, settings
 from .nl80211_scan import scan_results
 from .nl80211_station import parse_station
 
@@ -34,22 +34,7 @@ CMD_GET_INTERFACE, CMD_GET_STATION, CMD_GET_REG, CMD_GET_SURVEY, CMD_GET_POWER_S
 
 GONE = (errno.ENODEV, errno.ENXIO)
 _NOT_GIVEN = (errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOENT)
-_PEER_FIELDS = (
-    "rssi_dbm",
-    "rssi_avg_dbm",
-    "link_quality",
-    "tx_bitrate",
-    "rx_bitrate",
-    "tx_failed",
-    "missed_beacons",
-    "inactive_ms",
-)
-_ALL_FIELDS = tuple(
-    name
-    for name in WirelessLink.__struct_fields__
-    if name not in ("wall_ns", "mono_ns", "unknown", "iface", "source", "connected", "peer")
-)
-QUALITY_MAX = 70.0  # cfg80211's scale in /proc/net/wireless: rssi + 110, from 0 to 70 (net/wireless/wext-compat.c)
+_RARE_PERIOD_NS = 10_000_000_000  # the country's rules are the longest answer of all, and what a driver gives is fixed
 
 
 class RadioSample(NamedTuple):
@@ -76,13 +61,12 @@ class _Interface:
     def __init__(self, index: int) -> None:
         self.index = index
         self.due_ns = 0
-        self.info: WirelessInterface | None = None
-        self.noise_dbm: float | None = None
-        self.power_save: bool | None = None
+        self.rare_due_ns = 0
+        self.settings: Settings | None = None
         self.alpha2: str | None = None
-        self.slow_unknown: dict[str, Unknown] = {}
         self.peers: dict[str, _Peer] = {}
-        self.ssid_of: str | None = None
+        self.ssid: str | None = None
+        self.ssid_of: str | None = None  # the access point whose SSID that is
         self.busy: dict[int, tuple[int, int]] = {}
 
 
@@ -143,7 +127,7 @@ class Nl80211:
     def regulatory(self, wiphy: int | None = None) -> Regulatory:
         """The regulatory domain in force, of one radio or the global one."""
         payload = b"" if wiphy is None else pack(ATTR_WIPHY, u32(wiphy))
-        return parse_regulatory(self._nl.ask(CMD_GET_REG, payload, asked="regulatory domain")[0])
+        return parse_regulatory(self._nl.one(CMD_GET_REG, payload, asked="regulatory domain"))
 
     def wireless_link(self, iface: str) -> WirelessLink:
         """The link of an interface; on an access point of its first peer. All of it: read()."""
@@ -153,7 +137,8 @@ class Nl80211:
         """Ask the rare things again at the next read(), of one interface or of all: an event says they changed."""
         for name, state in self._known.items():
             if iface in (None, name):
-                state.due_ns = 0
+                state.due_ns = state.rare_due_ns = 0
+                state.ssid_of = None
 
     def read(self, iface: str, at: Now | None = None) -> RadioSample:
         """One sample of the interface that has this name now.
@@ -172,7 +157,7 @@ class Nl80211:
             if reason.code not in GONE:
                 raise
             self._known.pop(iface, None)
-            unknown = dict.fromkeys(_ALL_FIELDS, Unknown.ABSENT)
+            unknown = dict.fromkeys(ALL_FIELDS, Unknown.ABSENT)
             gone = WirelessLink(wall_ns=at.wall_ns, mono_ns=at.mono_ns, iface=iface, source="nl80211", unknown=unknown)
             return RadioSample((gone,), (), ())
 
@@ -191,15 +176,19 @@ class Nl80211:
         stations = self._stations(ifindex, iface, at, tids=slow)
         if {one.peer for one in stations} != state.peers.keys():
             slow = True  # somebody came or went: channel and SSID may be others
+            state.ssid_of = None
         surveys: tuple[ChannelSurvey, ...] = ()
         if slow:
             surveys = tuple(self._slow(state, iface, at, stations))
         stations = [self._with_age(state, one) for one in stations]
         for peer in state.peers.keys() - {one.peer for one in stations}:
             del state.peers[peer]
-        if slow:
+        if slow and at.mono_ns >= state.rare_due_ns:
             self._note_given(iface, stations, surveys)
-        return RadioSample(self._links(state, iface, at, stations), tuple(stations), surveys)
+            if stations:
+                state.rare_due_ns = at.mono_ns + _RARE_PERIOD_NS
+        assert state.settings is not None  # the first sample asks for them
+        return RadioSample(links(state.settings, iface, at, stations), tuple(stations), surveys)
 
     def capability(self, iface: str, driver: str | None = None) -> RadioCapability:
         """Which values the driver gave so far in read(), which it did not, and which could not show yet."""
@@ -233,7 +222,7 @@ class Nl80211:
 
     def _interface(self, index: int) -> WirelessInterface:
         payload = pack(ATTR_IFINDEX, u32(index))
-        return parse_interface(self._nl.ask(CMD_GET_INTERFACE, payload, asked="wireless interface")[0])
+        return parse_interface(self._nl.one(CMD_GET_INTERFACE, payload, asked="wireless interface"))
 
     def _stations(self, index: int, iface: str, at: Now, *, tids: bool = True) -> list[StationLink]:
         payload = pack(ATTR_IFINDEX, u32(index))
@@ -252,7 +241,7 @@ class Nl80211:
 
     def _power_save(self, index: int) -> bool | None:
         try:
-            return parse_power_save(self._nl.ask(CMD_GET_POWER_SAVE, pack(ATTR_IFINDEX, u32(index)))[0])
+            return parse_power_save(self._nl.one(CMD_GET_POWER_SAVE, pack(ATTR_IFINDEX, u32(index))))
         except NetlinkError as reason:
             if reason.code in _NOT_GIVEN:
                 return None
@@ -262,41 +251,35 @@ class Nl80211:
         info = self._interface(state.index)
         if info.ssid is None and stations and info.mode in CLIENT_MODES:
             info = info._replace(ssid=self._associated_ssid(state, stations[0].peer))
-        state.info = info
         surveys = [self._with_utilization(state, one) for one in self._surveys(state.index, iface, at)]
         # Some drivers mark no channel as in use; then the survey of our frequency is the one.
         ours = [one for one in surveys if one.in_use] or [
             one for one in surveys if one.frequency_mhz == info.frequency_mhz
         ]
-        state.noise_dbm = ours[0].noise_dbm if ours else None
-        state.power_save = self._power_save(state.index) if info.mode in CLIENT_MODES else None
-        try:
-            state.alpha2 = self.regulatory(info.wiphy).alpha2
-        except NetlinkError as reason:
-            if reason.code not in _NOT_GIVEN:
-                raise
-            state.alpha2 = None
-        values = {
-            "ssid": info.ssid,
-            "frequency_mhz": info.frequency_mhz,
-            "width_mhz": info.width_mhz,
-            "tx_power_dbm": info.tx_power_dbm,
-            "noise_dbm": state.noise_dbm,
-            "power_save": state.power_save,
-            "regulatory_domain": state.alpha2,
-        }
-        state.slow_unknown = {name: Unknown.UNSUPPORTED for name, value in values.items() if value is None}
+        noise_dbm = ours[0].noise_dbm if ours else None
+        power_save = self._power_save(state.index) if info.mode in CLIENT_MODES else None
+        if at.mono_ns >= state.rare_due_ns:
+            state.alpha2 = self._country(info.wiphy)
+        state.settings = settings(info, noise_dbm, power_save, state.alpha2)
         state.due_ns = at.mono_ns + self._slow_period_ns
         return surveys
 
     def _associated_ssid(self, state: _Interface, bssid: str) -> str | None:
         """The SSID of our access point: kernels tell it in the scan list where the supplicant does the joining."""
-        if state.ssid_of != bssid or state.info is None or state.info.ssid is None:
+        if state.ssid_of != bssid:
             found = scan_results(self._nl, state.index)
-            state.ssid_of = bssid
             # The list may hold the same BSSID twice, with the SSID it had before.
-            return next((one.ssid for one in found if one.associated), None)
-        return state.info.ssid
+            state.ssid = next((one.ssid for one in found if one.associated), None)
+            state.ssid_of = bssid if state.ssid is not None else None
+        return state.ssid
+
+    def _country(self, wiphy: int) -> str | None:
+        try:
+            return self.regulatory(wiphy).alpha2
+        except NetlinkError as reason:
+            if reason.code in _NOT_GIVEN:
+                return None
+            raise
 
     def _with_utilization(self, state: _Interface, survey: ChannelSurvey) -> ChannelSurvey:
         if survey.active_ms is None or survey.busy_ms is None:
@@ -340,82 +323,6 @@ class Nl80211:
                 for name in one.__struct_fields__:
                     if getattr(one, name) not in (None, ()):
                         seen.add(f"{room}.{name}")
-
-    def _links(self, state: _Interface, iface: str, at: Now, stations: list[StationLink]) -> tuple[WirelessLink, ...]:
-        info = state.info
-        assert info is not None  # _slow() ran at the first sample
-        client = info.mode in CLIENT_MODES
-        if client:
-            stations = [one for one in stations if one.associated is not False]
-        if not stations:
-            return (self._idle_link(state, info, iface, at),)
-        return tuple(self._link(state, info, iface, at, one, client) for one in stations)
-
-    def _idle_link(self, state: _Interface, info: WirelessInterface, iface: str, at: Now) -> WirelessLink:
-        unknown = {**state.slow_unknown, **dict.fromkeys(_PEER_FIELDS, Unknown.NOT_CONNECTED)}
-        client = info.mode in CLIENT_MODES
-        if client:
-            for name in ("ssid", "bssid", "frequency_mhz", "width_mhz"):
-                unknown[name] = Unknown.NOT_CONNECTED
-        return WirelessLink(
-            wall_ns=at.wall_ns,
-            mono_ns=at.mono_ns,
-            iface=iface,
-            source="nl80211",
-            connected=False,
-            mode=info.mode,
-            ssid=None if client else info.ssid,
-            bssid=info.mac if info.mode in ACCESS_POINT_MODES else None,
-            frequency_mhz=None if client else info.frequency_mhz,
-            width_mhz=None if client else info.width_mhz,
-            tx_power_dbm=info.tx_power_dbm,
-            noise_dbm=state.noise_dbm,
-            power_save=state.power_save,
-            regulatory_domain=state.alpha2,
-            unknown=unknown,
-        )
-
-    def _link(
-        self, state: _Interface, info: WirelessInterface, iface: str, at: Now, station: StationLink, client: bool
-    ) -> WirelessLink:
-        rssi_dbm = station.rssi_dbm
-        unknown = state.slow_unknown
-        if station.unknown:
-            more = {name: station.unknown[name] for name in _PEER_FIELDS if name in station.unknown}
-            if "beacon_loss" in station.unknown:
-                more["missed_beacons"] = Unknown.UNSUPPORTED
-            if rssi_dbm is None:
-                more["link_quality"] = Unknown.UNSUPPORTED
-            if more:
-                unknown = {**unknown, **more}
-        return WirelessLink(
-            wall_ns=at.wall_ns,
-            mono_ns=at.mono_ns,
-            iface=iface,
-            source="nl80211",
-            connected=True,
-            mode=info.mode,
-            peer=None if client else station.peer,
-            ssid=info.ssid,
-            bssid=station.peer if client else info.mac if info.mode in ACCESS_POINT_MODES else None,
-            frequency_mhz=info.frequency_mhz,
-            width_mhz=info.width_mhz,
-            tx_power_dbm=info.tx_power_dbm,
-            rssi_dbm=rssi_dbm,
-            rssi_avg_dbm=station.rssi_avg_dbm,
-            noise_dbm=state.noise_dbm,
-            link_quality=None if rssi_dbm is None else max(0.0, min(QUALITY_MAX, rssi_dbm + 110.0)),
-            link_quality_max=QUALITY_MAX,
-            tx_bitrate=station.tx_bitrate,
-            rx_bitrate=station.rx_bitrate,
-            tx_failed=station.tx_failed,
-            missed_beacons=station.beacon_loss,
-            inactive_ms=station.inactive_ms,
-            power_save=state.power_save,
-            rssi_stale=station.rssi_stale,
-            regulatory_domain=state.alpha2,
-            unknown=unknown,
-        )
 
 
 def _index(iface: str) -> int:
