@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+from pathlib import Path
 from typing import Any
 
 import rospy
@@ -46,6 +47,24 @@ def odometry(rate_hz: str, speed_m_per_s: str = "0.5") -> None:
         message.pose.pose.orientation.z = math.sin(angle / 2 + math.pi / 4)
         message.pose.pose.orientation.w = math.cos(angle / 2 + math.pi / 4)
         message.twist.twist.linear.x = float(speed_m_per_s)
+        publisher.publish(message)
+
+    _at(rate_hz, publish)
+
+
+def odometry_from(file: str, rate_hz: str) -> None:
+    """The pose that stands in a file."""
+    odom = message_class("nav_msgs/Odometry")
+    publisher = rospy.Publisher("odom", odom, queue_size=5)
+    message = odom()
+    message.header.frame_id = "odom"
+
+    def publish(_: float) -> None:
+        x_m, y_m, heading_rad = (float(word) for word in Path(file).read_text().split())
+        message.header.stamp = rospy.Time.now()
+        message.pose.pose.position.x, message.pose.pose.position.y = x_m, y_m
+        message.pose.pose.orientation.z = math.sin(heading_rad / 2)
+        message.pose.pose.orientation.w = math.cos(heading_rad / 2)
         publisher.publish(message)
 
     _at(rate_hz, publish)

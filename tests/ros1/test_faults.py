@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import signal
 import subprocess
 import time
@@ -21,7 +22,7 @@ TOPIC = "/robot/lo/network_analysis/link_utilization"
 def largest_gap_s(recording: Path) -> float:
     times = sorted(r.mono_ns for r in read_recording(recording).records(LinkUtilization))
     assert len(times) > 3
-    return max(b - a for a, b in zip(times, times[1:], strict=False)) / 1e9
+    return max(b - a for a, b in itertools.pairwise(times)) / 1e9
 
 
 def test_master_away_hung_and_restarted_costs_no_sample_and_topics_resume(tmp_path: Path, programs: Programs) -> None:
@@ -50,7 +51,7 @@ def test_master_away_hung_and_restarted_costs_no_sample_and_topics_resume(tmp_pa
         master.stop()
     # ten a second were asked for; a busy machine may be late, a call to a silent master takes seconds
     assert largest_gap_s(tmp_path / "run/robot") < 1.5
-    delays = [r for r in read_recording(tmp_path / "run/robot").records(NetworkDelay)]
+    delays = list(read_recording(tmp_path / "run/robot").records(NetworkDelay))
     assert delays
     assert all(isinstance(r, NetworkDelay) and r.delay_ns is None and not r.alive for r in delays)
 
@@ -62,11 +63,14 @@ def test_a_subscriber_that_hangs_costs_no_sample(master: Master, programs: Progr
     )
     wait_for(has(master, TOPIC), "the topic")
     subscriber = programs.start([*PLAY, "swallow", TOPIC, "network_analysis/LinkUtilization"], master.environment())
-    connections = ["rosnode", "info", "/linkrover_client"]
-    wait_for(
-        lambda: "to: /play_swallow" in subprocess.run(connections, env=master.environment(), capture_output=True, text=True).stdout,
-        "it is connected",
-    )  # fmt: skip
+
+    def connected() -> bool:
+        told = subprocess.run(
+            ["rosnode", "info", "/linkrover_client"], env=master.environment(), capture_output=True, text=True
+        )
+        return "to: /play_swallow" in told.stdout
+
+    wait_for(connected, "it is connected")
     subscriber.send_signal(signal.SIGSTOP)
     time.sleep(4)
     assert programs.interrupt(client) == 0
