@@ -73,9 +73,19 @@ class Finished(msgspec.Struct, frozen=True):
     torn_bytes: int
 
 
-def finalise(journal: Path, *, note: str = "", progress: Callable[[float], None] | None = None) -> Finished:
+Walk = Callable[[memoryview, int], Iterator[tuple[int, int, int]]]
+
+
+def finalise(
+    journal: Path,
+    *,
+    walk: Walk | None = None,
+    note: Callable[[], str] = str,
+    progress: Callable[[float], None] | None = None,
+) -> Finished:
     """Make `x.mcap.journal` into `x.mcap` (chunked, indexed, zstd) and `metadata.yaml`; remove the journal.
 
+    walk: how the journal's records are found, by default `whole_records`; note: what to say of it, asked at the end.
     The journal stays as it is until the new file is complete and on disk. Raises OSError (no space, ...).
     """
     target = journal.with_suffix("")
@@ -84,8 +94,8 @@ def finalise(journal: Path, *, note: str = "", progress: Callable[[float], None]
     try:
         with journal.open("rb") as source, temporary.open("xb") as out:
             writer = _Writer(out)
-            used, size = _copy(source, writer, progress)
-            writer.finish(note)
+            used, size = _copy(source, writer, walk or whole_records, progress)
+            writer.finish(note())
             out.flush()
             os.fsync(out.fileno())
         yaml = journal.parent / "metadata.yaml.part"
@@ -111,13 +121,13 @@ def _sync_directory(path: Path) -> None:
         os.close(fd)
 
 
-def _copy(source: BinaryIO, writer: _Writer, progress: Callable[[float], None] | None) -> tuple[int, int]:
+def _copy(source: BinaryIO, writer: _Writer, walk: Walk, progress: Callable[[float], None] | None) -> tuple[int, int]:
     size = os.fstat(source.fileno()).st_size
     if size == 0:
         return 0, 0
     with mmap.mmap(source.fileno(), 0, access=mmap.ACCESS_READ) as whole, memoryview(whole) as data:
         end = len(MAGIC)
-        for opcode, at, end in whole_records(data, len(MAGIC)):
+        for opcode, at, end in walk(data, len(MAGIC)):
             if opcode == Opcode.MESSAGE:
                 writer.message(data, at, end)
             elif opcode == Opcode.SCHEMA:

@@ -17,7 +17,7 @@ from linkrover.errors import LinkRoverError, ParseError
 from linkrover.messages.schema import short_name
 
 from .blocks import Block, Problems, Raw, Topic
-from .container import MAGIC, MESSAGE_HEAD, RECORD_HEAD, stream
+from .container import MAGIC, MESSAGE_HEAD, RECORD_HEAD, stream, whole_records
 
 _MAX_CHUNK = 1 << 30  # bytes a chunk may claim to hold; more is damage or an attack
 _PRIVATE = 0x80  # opcodes from here on are for private use and are skipped
@@ -67,6 +67,14 @@ class McapFile:
             self._read_summary(data)
             yield from self._file(data)
             self._compare()
+
+    def salvage(self, data: memoryview, at: int) -> Iterator[tuple[int, int, int]]:
+        """(opcode, start, end) of every record from `at` on that makes sense, past whatever is damaged between."""
+        for opcode, start, end in self._walk(data, at, ""):
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._other(opcode, data[start + 9 : end])  # what is searched for after damage are their messages
+            if end <= len(data):
+                yield opcode, start, end
 
     def _mapped(self) -> _Mapped:
         return _Mapped(self.path)
@@ -138,13 +146,16 @@ class McapFile:
             self._problems.add("the first bytes of the file are damaged")
         bare: tuple[int, int] | None = None  # a stretch of messages outside chunks, not yielded yet
         chunk: tuple[int, int, dict[int, bytes]] | None = None  # a chunk whose index records are being collected
+        index_end = 0
         ended = False
         for opcode, at, end in self._walk(data, len(MAGIC), ""):
             if chunk is not None:
-                if opcode == Opcode.MESSAGE_INDEX:
+                if opcode == Opcode.MESSAGE_INDEX and at == index_end:
                     _take_index(data[at + 9 : end], chunk[2])
+                    index_end = end
                     continue
-                yield from self._chunk(data[chunk[0] + 9 : chunk[1]], chunk[2])
+                # an index of which a part is cut off or damaged would hide messages
+                yield from self._chunk(data[chunk[0] + 9 : chunk[1]], chunk[2] if at == index_end else {})
                 chunk = None
             if opcode == Opcode.MESSAGE:
                 if bare is not None and bare[1] == at and at - bare[0] < _STRETCH:
@@ -159,6 +170,7 @@ class McapFile:
                 bare = None
             if opcode == Opcode.CHUNK:
                 chunk = (at, end, {})
+                index_end = end
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
                 self._other(opcode, data[at + 9 : end])
             elif opcode == Opcode.DATA_END:
@@ -167,7 +179,7 @@ class McapFile:
             elif opcode not in (Opcode.HEADER, Opcode.ATTACHMENT):
                 self._problems.count("records of an unknown kind or out of place")
         if chunk is not None:
-            yield from self._chunk(data[chunk[0] + 9 : chunk[1]], chunk[2])
+            yield from self._chunk(data[chunk[0] + 9 : chunk[1]], {})
         if bare is not None:
             yield self._stretch(data, *bare)
         if not ended:
@@ -175,6 +187,8 @@ class McapFile:
                 "not finished: it ends without a summary (the recorder was killed, is still running, or the file is "
                 "cut off)"
             )
+        elif not self.finished:
+            self._problems.add("not finished: its summary is cut off; no message is missing")
 
     def _other(self, opcode: int, body: memoryview) -> None:
         try:
@@ -231,7 +245,8 @@ class McapFile:
             self._lost_chunk(start_ns, end_ns, number, "its checksum does not fit")
             return
         where = "in a chunk that is cut off" if cut else "in a chunk"
-        self._define_all(data)
+        if any(channel not in self.topics for channel in index):
+            self._define_all(data)
         indexed = bool(index) and not cut
         if indexed:
             for channel, entries in index.items():
@@ -241,13 +256,11 @@ class McapFile:
         )
 
     def _define_all(self, data: bytes) -> None:
-        """The topics a chunk declares, for a reader that takes its messages by the index. They come first."""
+        """The topics a chunk declares, for a reader that takes its messages by the index."""
         view = memoryview(data)
-        at = 0
-        while at + 9 <= len(data) and data[at] in (Opcode.SCHEMA, Opcode.CHANNEL):
-            _, length = RECORD_HEAD.unpack_from(data, at)
-            self._other(data[at], view[at + 9 : at + 9 + length])
-            at += 9 + length
+        for opcode, at, end in whole_records(view, 0):
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._other(opcode, view[at + 9 : end])
 
     def _lost_chunk(self, start_ns: int, end_ns: int, number: int, why: str) -> None:
         messages = f"{number} messages" if number else "an unknown number of messages"

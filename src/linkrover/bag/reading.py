@@ -250,6 +250,28 @@ def read_recording(
     return recording
 
 
+def read_manifest(path: Path) -> Manifest | None:
+    """The manifest of a recording, without reading the rest of it where the file has it in its first part or its
+    summary; None if it has none. Raises LinkRoverError.
+    """
+    for file in recording_files(path):
+        container = open_container(file)
+        if isinstance(container, Ros1File):
+            continue
+        container.read_summary()
+        blocks: Iterator[Block] = iter(()) if "linkrover" in container.metadata else container.blocks()
+        for _ in blocks:
+            if "linkrover" in container.metadata:
+                break
+        text = container.metadata.get("linkrover", {}).get("manifest")
+        if text is not None:
+            try:
+                return msgspec.json.decode(text, type=Manifest)
+            except msgspec.MsgspecError:
+                continue
+    return None
+
+
 def recording_files(path: Path) -> list[Path]:
     """The files of one recording. Raises LinkRoverError."""
     if not path.exists():

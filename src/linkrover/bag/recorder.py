@@ -304,4 +304,15 @@ def recover(path: Path, *, progress: Callable[[float], None] | None = None) -> F
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise LinkRoverError(f"{journal} is being written by another process: end that first") from None
-        return finalise(journal, note="recovered from a journal that was not closed", progress=progress)
+        return _finalise_torn(journal, progress)
+
+
+def _finalise_torn(journal: Path, progress: Callable[[float], None] | None) -> Finished:
+    from .mcap_read import McapFile
+
+    reader = McapFile(journal)
+
+    def note() -> str:
+        return "; ".join(["recovered from a journal that was not closed", *reader.problems])
+
+    return finalise(journal, walk=reader.salvage, note=note, progress=progress)
