@@ -2,8 +2,11 @@ from __future__ import annotations
 
 import logging
 import socket
+import subprocess
+import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -88,6 +91,14 @@ def test_an_agent_probes_its_own_reflector_and_derives_delay_and_offset():
     assert {delay.iface for delay in delays} == {"lo"}
     assert {(d.sequence, d.delay_ns) for d in answered} <= {(r.sequence, r.rtt_ns) for r in results}
     assert all(delay.method == "stamp" for delay in delays)
+
+
+def test_a_peer_given_by_name_is_routed_through_its_interface():
+    sink = Kept()
+    probe = Probe(rate_hz=20, deadline_s=0.2)
+    config = AgentConfig(interfaces=("nosuch0", "lo"), wait=True, peers=("localhost:9",), duration_s=1.0, probe=probe)
+    Agent(config, sinks=[sink]).run()
+    assert sink.of(NetworkDelay)[-1].iface == "lo"
 
 
 def test_a_probe_without_an_answer_is_a_delay_of_none_with_its_reason():
@@ -197,15 +208,19 @@ def test_the_manifest_says_what_machine_this_is():
     assert manifest.interfaces[0].addresses[0] == "127.0.0.1"
     assert 'interfaces = ["lo"]' in manifest.config
     assert manifest.boot_id is not None
+    assert manifest.notes["adapter"] == "x"
+    assert manifest.notes["network_namespace"] == str(Path("/proc/self/ns/net").readlink())
+    assert "synchronised" in manifest.notes["wall_clock"]
     agent.start()
     agent.close()
 
 
 def test_addresses_and_routes_are_the_kernels():
     assert ("lo", "127.0.0.1") in local_addresses()
-    assert route_interface("127.0.0.1", 9, ["eth7", "lo"]) == "lo"
-    assert route_interface("127.0.0.1", 9, ["eth7"]) is None
-    assert route_interface("not an address", 9, ["lo"]) is None
+    here = (socket.AF_INET, ("127.0.0.1", 9))
+    assert route_interface(*here, ["eth7", "lo"]) == "lo"
+    assert route_interface(*here, ["eth7"]) is None
+    assert route_interface(socket.AF_INET, ("255.255.255.255", 9), ["lo"]) is None
     assert collect_interfaces(["nosuch0"])[0].mac is None
 
 
@@ -221,3 +236,20 @@ def test_late_slots_are_accounted_for():
 
     Agent(AgentConfig(duration_s=0.5, rates=Rates(account_hz=0.5)), sinks=[sink], parts=[Slow()]).run()
     assert sum(account.missed_slots for account in sink.of(SelfAccount)) > 5
+
+
+def test_a_started_agent_carries_no_heavy_packages():
+    """A robot's install has none of them, and its start must not wait for them."""
+    code = (
+        "import sys, tempfile, pathlib\n"
+        "from linkrover.agent import Agent, AgentConfig\n"
+        "from linkrover.bag.recorder import Recorder\n"
+        "agent = Agent(AgentConfig(interfaces=('lo',), duration_s=0.1))\n"
+        "agent.add_sink(Recorder(pathlib.Path(tempfile.mkdtemp()) / 'robot', agent.manifest))\n"
+        "agent.run()\n"
+        "print(*sorted({name.split('.')[0] for name in sys.modules}))\n"
+    )
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"numpy", "polars", "scipy", "matplotlib", "rich", "cyclopts", "pyroute2", "rosbags", "asyncio"} & {
+        *loaded
+    }

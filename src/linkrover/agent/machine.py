@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from linkrover import __version__
 from linkrover.errors import LinkRoverError
+from linkrover.probe.stamps import clock_error
 from linkrover.records import Interface, Manifest, now
 from linkrover.sources.ethtool import DriverInfo, EthtoolReader
 from linkrover.sources.interface import InterfaceSocket
@@ -69,8 +70,22 @@ def collect_manifest(config: AgentConfig, *, middleware: str | None = None) -> M
         run=config.run,
         emulated=config.emulated,
         config=to_toml(config),
-        notes=dict(config.notes),
+        notes={**_circumstances(), **config.notes},
     )
+
+
+def _circumstances() -> dict[str, str]:
+    """Which network namespace this is, and whether the wall clock follows an outside source (adjtimex)."""
+    found = {}
+    try:
+        found["network_namespace"] = os.readlink("/proc/thread-self/ns/net")  # noqa: PTH115
+    except OSError:
+        found["network_namespace"] = "unknown"
+    error = clock_error()
+    found["wall_clock"] = (
+        f"synchronised, error below {error.error_ns / 1e6:.1f} ms" if error.synchronized else "not synchronised"
+    )
+    return found
 
 
 def collect_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
@@ -129,17 +144,15 @@ def local_addresses() -> list[tuple[str, str]]:
     return found
 
 
-def route_interface(host: str, port: int, names: Iterable[str]) -> str | None:
-    """Which of `names` the kernel would send through to a numeric address; None when it is another, or none."""
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+def route_interface(family: int, address: tuple[str | int, ...], names: Iterable[str]) -> str | None:
+    """Which of `names` the kernel would send through to a UDP address; None when it is another, or none."""
     with socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as trial:
         try:
-            # connecting a datagram socket sends nothing; it only looks up the route
-            trial.connect(socket.getaddrinfo(host, port, family, socket.SOCK_DGRAM, 0, socket.AI_NUMERICHOST)[0][4])
+            trial.connect(address)  # sends nothing: it only looks up the route
         except OSError:
             return None
         source = str(trial.getsockname()[0]).split("%")[0]
-    owners = [name for name, address in local_addresses() if address == source]
+    owners = [name for name, owned in local_addresses() if owned == source]
     return next((name for name in names if name in owners), None)
 
 

@@ -77,6 +77,8 @@ class Probing:
 
     def _take(self, result: ProbeResult) -> None:
         publish = self._agent.publish
+        if self._route_due_ns == 0:
+            self._reroute(result.mono_ns)
         publish(result)
         self.clock.add(result)
         if self._first_word(result.sequence):
@@ -145,6 +147,9 @@ class Probing:
 
     def _reroute(self, mono_ns: int) -> None:
         """Which interface the records of this peer belong to."""
+        endpoint = self.sender.endpoint
+        if endpoint is None:
+            return  # its name is not resolved yet: look again at the next turn
         self._route_due_ns = mono_ns + _REROUTE_NS
         names = self._agent.config.interfaces
-        self.iface = self._outage.iface = route_interface(self.host, self.port, names) or self.iface
+        self.iface = self._outage.iface = route_interface(endpoint.family, endpoint.address, names) or self.iface

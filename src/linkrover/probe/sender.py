@@ -134,6 +134,11 @@ class StampSender:
         return _name(self.host, self.port)
 
     @property
+    def endpoint(self) -> Endpoint | None:
+        """The reflector's address; None while its name is not resolved."""
+        return self._endpoint
+
+    @property
     def in_flight(self) -> int:
         """Probes whose fate is not known yet."""
         return self._ledger.in_flight
