@@ -3,7 +3,9 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 import time
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -14,8 +16,11 @@ from linkrover.errors import LinkRoverError
 
 
 @pytest.fixture(autouse=True)
-def _own_runtime_folder(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+def runtime(monkeypatch):
+    """A folder for working folders of this test's own; short, for the sockets in it."""
+    with tempfile.TemporaryDirectory(prefix="lr-", dir="/tmp") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield Path(folder)
 
 
 def killed_run(tmp_path, child_code):
@@ -81,8 +86,8 @@ def test_a_damaged_folder_is_a_leftover(tmp_path):
     assert not folder.path.exists()
 
 
-def test_a_base_folder_that_others_can_write_to_is_refused(tmp_path):
-    (tmp_path / "linkrover").mkdir(mode=0o700)
-    (tmp_path / "linkrover").chmod(0o777)
+def test_a_base_folder_that_others_can_write_to_is_refused(runtime):
+    (runtime / "linkrover").mkdir(mode=0o700)
+    (runtime / "linkrover").chmod(0o777)
     with pytest.raises(LinkRoverError, match="only you"):
         find_leftovers()

@@ -17,6 +17,15 @@ from .needs import as_nobody, packets
 pytestmark = pytest.mark.netns
 
 
+def test_the_devices_queue_is_as_long_as_asked(host):
+    wanted = Path("/proc/thread-self/net/dev")
+    assert in_namespace(host.netns_fd, lambda: "wlan0" in wanted.read_text())
+    code = "print(open('/sys/class/net/wlan0/tx_queue_len').read())"
+    command = [sys.executable, enter.__file__, str(host.netns_fd), "--", sys.executable, "-c", code]
+    out = subprocess.run(command, pass_fds=[host.netns_fd], capture_output=True, text=True, check=True).stdout
+    assert int(out) == netns.TX_QUEUE_PACKETS
+
+
 @pytest.fixture
 def host():
     packets()
@@ -150,4 +159,5 @@ def test_an_ordinary_user_makes_hosts_where_the_device_is_open_to_him(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True)
     if "user namespaces" in done.stderr:
         pytest.skip(f"this kernel or container forbids them: {done.stderr.strip().splitlines()[-1]}")
-    assert done.stdout.split() == ["True", "0"], done.stderr
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["True", "0"]

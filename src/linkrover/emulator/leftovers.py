@@ -20,6 +20,7 @@ import msgspec
 from linkrover.errors import LinkRoverError
 
 OWNER_FILE = "owner.json"
+LONGEST_BASE = 60
 
 
 class Process(msgspec.Struct, frozen=True):
@@ -81,14 +82,21 @@ def base_folder() -> Path:
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     uid = os.geteuid()
-    # Unix socket paths hold 107 octets, so a deep TMPDIR is of no use here
-    base = Path(runtime) / "linkrover" if runtime and os.access(runtime, os.W_OK) else Path(f"/tmp/linkrover-{uid}")  # noqa: S108
+    # within a user namespace of ours we are called 0, and another user's folder of that name is not ours
+    real = next((int(line[1]) + uid - int(line[0]) for line in _uid_map() if int(line[0]) <= uid), uid)
+    # Unix socket paths hold 107 octets, so a deep folder is of no use here
+    fits = bool(runtime) and len(os.fsencode(runtime or "")) <= LONGEST_BASE and os.access(runtime or "", os.W_OK)
+    base = Path(runtime or "") / "linkrover" if fits else Path(f"/tmp/linkrover-{real}")  # noqa: S108
     with contextlib.suppress(FileExistsError):
         base.mkdir(mode=0o700)
     status = base.lstat()
     if not stat.S_ISDIR(status.st_mode) or status.st_uid != uid or status.st_mode & 0o022:
         raise LinkRoverError(f"{base} is not a folder that only you can write to; remove it and try again")
     return base
+
+
+def _uid_map() -> list[list[str]]:
+    return [line.split() for line in Path("/proc/self/uid_map").read_text().splitlines()]
 
 
 class RunFolder:

@@ -31,7 +31,9 @@ IFF_TUN, IFF_NO_PI = 0x0001, 0x1000
 
 SIOCGIFFLAGS, SIOCSIFFLAGS = 0x8913, 0x8914  # include/uapi/linux/sockios.h
 SIOCSIFADDR, SIOCSIFNETMASK = 0x8916, 0x891C
-SIOCSIFMTU, SIOCSIFTXQLEN = 0x8922, 0x8943
+SIOCSIFMTU = 0x8922
+RTM_NEWLINK, IFLA_TXQLEN = 16, 13  # include/uapi/linux/rtnetlink.h, if_link.h
+NLM_F_REQUEST, NLM_F_ACK = 1, 4
 IFF_UP, IFF_RUNNING = 0x1, 0x40
 
 TUN_PATH = "/dev/net/tun"
@@ -251,6 +253,19 @@ def _quiet_ipv6() -> None:
             Path(f"/proc/sys/net/ipv6/conf/{scope}/disable_ipv6").write_text("1")
 
 
+def _set_queue(iface: str, packets: int) -> None:
+    """The device's transmit queue, by route netlink: the ioctl for it asks for a capability outside the namespace."""
+    attribute = struct.pack("=HHI", 8, IFLA_TXQLEN, packets)
+    link = struct.pack("=BxHiII", socket.AF_UNSPEC, 0, socket.if_nametoindex(iface), 0, 0)
+    body = link + attribute
+    header = struct.pack("=IHHII", 16 + len(body), RTM_NEWLINK, NLM_F_REQUEST | NLM_F_ACK, 1, 0)
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as handle:
+        handle.send(header + body)
+        (code,) = struct.unpack_from("=i", handle.recv(4096), 16)
+    if code != 0:
+        raise OSError(-code, os.strerror(-code))
+
+
 def _configure(iface: str, address: str, prefix: int) -> None:
     def request(name: str, payload: bytes) -> bytes:
         return struct.pack("16s24s", name.encode(), payload)
@@ -266,9 +281,9 @@ def _configure(iface: str, address: str, prefix: int) -> None:
             (flags,) = struct.unpack_from("=H", answer, 16)
             fcntl.ioctl(handle, SIOCSIFFLAGS, request(name, struct.pack("=H", flags | IFF_UP | IFF_RUNNING)))
 
+        _set_queue(iface, TX_QUEUE_PACKETS)
         up("lo")
         fcntl.ioctl(handle, SIOCSIFMTU, request(iface, struct.pack("=i", MTU)))
-        fcntl.ioctl(handle, SIOCSIFTXQLEN, request(iface, struct.pack("=i", TX_QUEUE_PACKETS)))
         fcntl.ioctl(handle, SIOCSIFADDR, request(iface, inet(address)))
         fcntl.ioctl(handle, SIOCSIFNETMASK, request(iface, inet(mask)))
         up(iface)
