@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 import tempfile
@@ -12,7 +13,6 @@ from pathlib import Path
 
 WARM_UP_S = 3.0
 MEASURE_S = 20.0
-PORT = 28620
 WIRELESS = (
     "Inter-| sta-|   Quality        |   Discarded packets               | Missed | WE\n"
     " face | tus | link level noise |  nwid  crypt   frag  retry   misc | beacon | 22\n"
@@ -24,6 +24,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         text = Path(folder) / "wireless"
         text.write_text(WIRELESS)
+        port = _free_port()
         common = [
             sys.executable,
             "-m",
@@ -37,10 +38,10 @@ def main() -> None:
         ]
         record = ["--record", f"{folder}/run"]
         ends = {
-            "station: reflects, records": [*common, "--role", "station", "--reflect", "--port", str(PORT), *record],
-            "robot: probes 10 Hz, records": [*common, "--peer", f"127.0.0.1:{PORT}", *record],
+            "station: reflects, records": [*common, "--role", "station", "--reflect", "--port", str(port), *record],
+            "robot: probes 10 Hz, records": [*common, "--peer", f"127.0.0.1:{port}", *record],
             "robot: probes 100 Hz, records": [
-                *common, "--peer", f"127.0.0.1:{PORT}", "--probe-rate", "100", "--record", f"{folder}/fast",
+                *common, "--peer", f"127.0.0.1:{port}", "--probe-rate", "100", "--record", f"{folder}/fast",
             ],
             "robot: wireless 10 Hz only, no recording": [*common],
         }  # fmt: skip
@@ -74,6 +75,12 @@ def _write_wireless(path: Path, stop: threading.Event) -> None:
         fresh = path.with_suffix(".new")
         fresh.write_text(WIRELESS)
         fresh.rename(path)
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as trial:
+        trial.bind(("", 0))
+        return int(trial.getsockname()[1])
 
 
 def _cpu_ns(pid: int) -> int:
