@@ -138,9 +138,19 @@ def _copy(source: BinaryIO, writer: _Writer, walk: Walk, progress: Callable[[flo
                 writer.metadata.append(Metadata.read(stream(data[at + 9 : end])))
             elif opcode == Opcode.DATA_END:
                 break
-            if progress is not None and writer.chunk_just_closed:
-                progress(end / size)
+            if writer.chunk_just_closed:
+                release(whole, end)
+                if progress is not None:
+                    progress(end / size)
+                writer.chunk_just_closed = False
         return min(end, size), size
+
+
+def release(mapped: mmap.mmap, end: int) -> None:
+    """Give back the memory of what has been read of a mapped file, so that a long one does not fill it."""
+    whole_pages = end - end % mmap.PAGESIZE
+    if whole_pages:
+        mapped.madvise(mmap.MADV_DONTNEED, 0, whole_pages)
 
 
 def whole_records(data: memoryview, at: int) -> Iterator[tuple[int, int, int]]:
@@ -204,7 +214,6 @@ class _Writer:
             entries = self._index[channel] = []
         entries.append((log_time, len(self._body)))
         self._body += data[at:end]
-        self.chunk_just_closed = False
         if len(self._body) >= CHUNK_BYTES:
             self._close_chunk()
 

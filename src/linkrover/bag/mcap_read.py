@@ -17,7 +17,7 @@ from linkrover.errors import LinkRoverError, ParseError
 from linkrover.messages.schema import short_name
 
 from .blocks import Block, Problems, Raw, Topic
-from .container import MAGIC, MESSAGE_HEAD, RECORD_HEAD, stream, whole_records
+from .container import MAGIC, MESSAGE_HEAD, RECORD_HEAD, release, stream, whole_records
 
 _MAX_CHUNK = 1 << 30  # bytes a chunk may claim to hold; more is damage or an attack
 _PRIVATE = 0x80  # opcodes from here on are for private use and are skipped
@@ -169,6 +169,8 @@ class McapFile:
                 yield self._stretch(data, *bare)
                 bare = None
             if opcode == Opcode.CHUNK:
+                if isinstance(data.obj, mmap.mmap):
+                    release(data.obj, at)
                 chunk = (at, end, {})
                 index_end = end
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
@@ -202,6 +204,8 @@ class McapFile:
     def _stretch(self, data: memoryview, start: int, end: int) -> Block:
         """Bare message records; they lie in the mapped file, which closes when reading ends, so copy."""
         copy = bytes(data[start:end])
+        if isinstance(data.obj, mmap.mmap):
+            release(data.obj, start)
         return Block(copy, lambda: self._messages(copy, "outside chunks"))
 
     def _messages(self, data: bytes, where: str, *, cut_is_known: bool = False, count: bool = True) -> Iterator[Raw]:
