@@ -267,9 +267,10 @@ def _variation(part: Probes) -> dict[str, object]:
 def smoothed_jitter(differences: Floats) -> float:
     """J += (|D| - J) / 16, RFC 3550 section 6.4.1: its mean over the run."""
     jitter, total = 0.0, 0.0
-    for d in differences.tolist():
-        jitter += (d - jitter) / 16
-        total += jitter
+    for begin in range(0, len(differences), 65536):
+        for d in differences[begin : begin + 65536].tolist():
+            jitter += (d - jitter) / 16
+            total += jitter
     return total / len(differences)
 
 

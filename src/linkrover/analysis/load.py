@@ -288,16 +288,20 @@ def _end(role: str, raw: RawEnd, clock: _Clock, origin: int) -> End:
     def ready(table: Columns) -> Columns:
         t_s = clock.seconds(table, origin)
         out = {"t_s": t_s, "time_ns": clock.nanoseconds(table), **table}
+        del out["mono_ns"]
+        if "t1_ns" not in table and "offset_ns" not in table:
+            del out["wall_ns"]
         if len(t_s) > 1 and (np.diff(t_s) < 0).any():
             order = np.argsort(t_s, kind="stable")
             out = {name: column[order] for name, column in out.items()}
         return out
 
     def by_iface(kind: str) -> dict[str, Columns]:
-        return {key[0]: ready(t) for key, t in raw.tables.get(kind, {}).items() if len(t["wall_ns"])}
+        # taken out of the raw tables, so that long recordings are not held twice
+        return {key[0]: ready(t) for key, t in raw.tables.pop(kind, {}).items() if len(t["wall_ns"])}
 
     def single(kind: str) -> Columns | None:
-        table = raw.table(kind)
+        table = raw.tables.pop(kind, {}).get(())
         return ready(table) if table is not None and len(table["wall_ns"]) else None
 
     end = End(role=role, manifest=raw.manifest)

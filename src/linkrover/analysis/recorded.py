@@ -9,7 +9,7 @@ from linkrover import records
 from linkrover.errors import LinkRoverError
 from linkrover.records import LinkEvent
 
-from .columns import FIELDS, KEYS, TEXTS, RawEnd
+from .columns import FIELDS, KEYS, SINGLES, TEXTS, RawEnd
 
 if TYPE_CHECKING:
     import polars as pl
@@ -120,7 +120,7 @@ def _text(series: pl.Series) -> Any:
     words = series.unique()
     index = {word: i for i, word in enumerate(words.to_list())}
     if len(index) == 1:
-        return np.full(len(series), next(iter(index)), object)
+        return np.broadcast_to(np.array(next(iter(index)), object), len(series))  # takes no room
     codes = series.replace_strict(
         list(index), list(range(len(index))), return_dtype=pl.Int32, default=index.get(None, -1)
     )
@@ -132,12 +132,19 @@ def _number(series: pl.Series) -> Any:
 
     if series.dtype == pl.Struct:
         series = series.struct.field("rate_bps")
-    return series.cast(pl.Float64, strict=False).fill_null(float("nan")).to_numpy()
+    kind = pl.Float32 if series.name in SINGLES else pl.Float64
+    return series.cast(kind, strict=False).fill_null(float("nan")).to_numpy()
 
 
 def _joined(pieces: list[Columns]) -> Columns:
-    import numpy as np
-
     if len(pieces) == 1:
         return pieces[0]
-    return {name: np.concatenate([piece[name] for piece in pieces]) for name in pieces[0]}
+    return {name: _chained([piece.pop(name) for piece in pieces]) for name in list(pieces[0])}
+
+
+def _chained(columns: list[Any]) -> Any:
+    import numpy as np
+
+    if columns[0].dtype == object and all(c.strides == (0,) and c[0] == columns[0][0] for c in columns):
+        return np.broadcast_to(columns[0][:1].reshape(()), sum(len(c) for c in columns))
+    return np.concatenate(columns)

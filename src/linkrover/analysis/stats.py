@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 REPLICATES = 1000
 SEED = 20210914
+MOST = 20_000  # samples a bootstrap or a spectrum works on; longer series are summed over neighbours first
 
 
 def weighted_mean_std(values: Floats, weights: Floats) -> tuple[float | None, float | None]:
@@ -85,7 +86,7 @@ def stationary_bootstrap_ratio(
     running = np.zeros((2, 2 * n + 1))
     running[:, 1:] = np.cumsum(np.tile(np.stack([numerator, denominator]), 2), axis=1)
     count = int(n * p + 4 * np.sqrt(n * p * (1 - p) + 1)) + 2
-    batch = max(1, min(replicates, 4_000_000 // count))
+    batch = max(1, min(replicates, 400_000 // count))
     # a geometric length is a rounded-up exponential one, which is drawn five times faster
     scale = -1 / np.log1p(-p) if p < 1 else 0.0
 
@@ -134,13 +135,33 @@ def ratio_ci95(numerator: Floats, denominator: Floats) -> tuple[tuple[float, flo
     n = len(numerator)
     if n < 8:
         return None, float(n), 1.0
-    tau = autocorrelation_time(numerator / denominator)
-    draws = stationary_bootstrap_ratio(numerator, denominator, 2 * tau)
+    tau, numerator, denominator = _grouped(numerator, denominator)
+    draws = stationary_bootstrap_ratio(numerator, denominator, 2 * tau * len(numerator) / n)
     draws = draws[np.isfinite(draws)]
     if len(draws) < 100:
         return None, n / tau, tau
     low, high = np.quantile(draws, (0.025, 0.975))
     return (float(low), float(high)), n / tau, tau
+
+
+def _grouped(numerator: Floats, denominator: Floats) -> tuple[float, Floats, Floats]:
+    """Autocorrelation time in samples, and sums over groups of neighbours where the series is very long.
+
+    What matters for the interval of a mean is the spread of sums over long stretches, which grouping keeps.
+    """
+    import numpy as np
+
+    n = len(numerator)
+    step = -(-n // MOST)
+    if step == 1:
+        return autocorrelation_time(numerator / denominator), numerator, denominator
+    kept = n // step * step
+    top = numerator[:kept].reshape(-1, step).sum(axis=1)
+    bottom = denominator[:kept].reshape(-1, step).sum(axis=1)
+    means = top / bottom
+    single = float(np.var(numerator / denominator))
+    inflation = float(np.var(means)) * step / single if single > 0 else 1.0
+    return max(1.0, autocorrelation_time(means) * inflation), top, bottom
 
 
 def mean_ci95(values: Floats) -> tuple[tuple[float, float] | None, float, float]:
@@ -163,7 +184,8 @@ def quantile_ci95(values: Floats, probability: float) -> tuple[float, float] | N
     if n < 8:
         return None
     ordered = np.sort(values)
-    ess = effective_size((values <= np.quantile(ordered, probability)).astype(np.float64))
+    below = (values <= np.quantile(ordered, probability)).astype(np.float64)
+    ess = n / _grouped(below, np.ones(n))[0]
     if ess < 4:
         return None
     half = 1.96 * math.sqrt(probability * (1 - probability) / ess)
