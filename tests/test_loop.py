@@ -72,7 +72,8 @@ def test_a_job_never_runs_before_its_slot(loop):
 def test_a_cancelled_job_runs_no_more(loop):
     runs = []
     job = loop.every(MS, lambda slot: (runs.append(slot.index), job.cancel()))
-    loop.run(time.monotonic_ns() + 20 * MS)
+    loop.at(time.monotonic_ns() + 20 * MS, loop.stop)
+    loop.run()
     assert runs == [0]
 
 
@@ -81,7 +82,8 @@ def test_jobs_due_together_run_in_the_order_of_their_slots(loop):
     start = time.monotonic_ns() + 5 * MS
     loop.every(1000 * MS, lambda _: order.append("second"), start_ns=start + 1)
     loop.every(1000 * MS, lambda _: order.append("first"), start_ns=start)
-    loop.run(start + 10 * MS)
+    loop.at(start + 10 * MS, loop.stop)
+    loop.run()
     assert order == ["first", "second"]
 
 
@@ -95,7 +97,8 @@ def test_a_timer_runs_once_and_not_early(loop):
     due = time.monotonic_ns() + 10 * MS
     ran = []
     loop.at(due, lambda: ran.append(time.monotonic_ns()))
-    loop.run(due + 20 * MS)
+    loop.at(due + 20 * MS, loop.stop)
+    loop.run()
     assert len(ran) == 1
     assert ran[0] >= due
 

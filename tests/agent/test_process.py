@@ -58,15 +58,15 @@ def test_two_ends_measure_record_and_end_together(pair, tmp_path):
     assert (manifest["type"], manifest["role"], manifest["case"], manifest["trial"]) == ("Manifest", "robot", "3", 1)
     assert manifest["interfaces"][0]["driver"] == "veth"
     delays = robot.of("NetworkDelay", method="stamp", iface="v0")
-    assert len(delays) >= 20
+    assert len(delays) >= 10
     assert sum(delay["alive"] for delay in delays) >= len(delays) - 1
     assert {link["rssi_dbm"] for link in robot.of("WirelessLink")} == {-72.0}
-    assert len(robot.of("WirelessLink")) >= 20
+    assert len(robot.of("WirelessLink")) >= 10
     offsets = robot.of("ClockOffset")
     assert offsets
     # one machine, one clock
     assert all(abs(offset["offset_ns"]) <= offset["error_bound_ns"] for offset in offsets)
-    for end, least in (("robot", 20), ("station", 0)):
+    for end, least in (("robot", 10), ("station", 0)):
         topics = [topic for topic, _ in messages(run / end / f"{end}.mcap")]
         assert topics.count(f"/{end}/linkrover/network_delay") >= least
         assert f"/{end}/v0/linkrover/link_utilization" in topics
