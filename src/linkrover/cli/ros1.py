@@ -73,6 +73,9 @@ class Measuring:
     traffic_period: float | None = None
     """Seconds between readings of the local nodes' bus statistics; 0 = off. [default: 5]"""
 
+    diagnostics: bool = True
+    """Publish /diagnostics once a second."""
+
     duration: float | None = None
     """Stop after this many seconds."""
 
@@ -218,6 +221,7 @@ def _run(kind: str, remappings: tuple[str, ...], measuring: Measuring | None) ->
         "base_frame": given.base_frame,
         "traffic_s": given.traffic_period,
         "duration_s": given.duration,
+        "diagnostics": given.diagnostics,
         "wireless_path": _text(given.wireless_path),
         "case": given.case,
         "trial": given.trial,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+import socket
 import threading
 import time
 import urllib.parse
@@ -142,7 +143,12 @@ class Ros1Part:
             if found is None:
                 continue
             host, reflector_port = found
-            self._agent_soon(functools.partial(self._found, host, reflector_port))
+            try:
+                family, _, _, _, address = socket.getaddrinfo(host, DEFAULT_PORT, type=socket.SOCK_DGRAM)[0]
+            except OSError as error:
+                log.debug("looking for %s: %s", host, error)
+                continue
+            self._agent_soon(functools.partial(self._found, host, reflector_port, family, address))
 
     def _server_of(self, topic: str) -> tuple[str, int] | None:
         master = Rpc(master_uri(), self.node.resolved_name)
@@ -154,12 +160,12 @@ class Ros1Part:
         host = urllib.parse.urlparse(uri).hostname or ""
         return host, int(port) if code == 1 and str(port).isdigit() else 0
 
-    def _found(self, host: str, reflector_port: int) -> None:
+    def _found(self, host: str, reflector_port: int, family: int, address: tuple[str | int, ...]) -> None:
         agent = self._agent
         if agent is None or self._done.is_set() or self.prober is None:
             return
         self.prober.peer = host
-        self.prober.iface = route_interface(host, DEFAULT_PORT, agent.config.interfaces) or self.prober.iface
+        self.prober.iface = route_interface(family, address, agent.config.interfaces) or self.prober.iface
         peer = f"{host}:{reflector_port}"
         if not reflector_port or peer in self._reflectors or agent.config.peers:
             return
@@ -181,8 +187,12 @@ class Ros1Part:
 
     def _agent_soon(self, work: Callable[[], None]) -> None:
         def unless_done() -> None:
-            if not self._done.is_set():
+            if self._done.is_set():
+                return
+            try:
                 work()
+            except Exception:  # a fault beside the measuring must not end it
+                log.exception("a part of the ROS 1 node failed; measuring goes on")
 
         if self._agent is not None and not self._done.is_set():
             self._agent.loop.call_soon(unless_done)
