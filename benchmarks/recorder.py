@@ -269,8 +269,8 @@ def main() -> None:
         console.print(
             f"An hour of two ends, {made['result']:,.0f} records with their 2021 and standard twins: recorded in "
             f"{made['wall']:.1f} s ({made['cpu'] / made['result'] * 1e6:.0f} us CPU a record, "
-            f"{made['cpu'] / 7200:.2%} of one core an end), {size / 1e6:.0f} MB on disk, at most {made['memory']:.0f} MB "
-            "of memory."
+            f"{made['cpu'] / 7200:.2%} of one core an end), {size / 1e6:.0f} MB on disk, "
+            f"at most {made['memory']:.0f} MB of memory."
         )
         for step, what in (("read", "as data frames"), ("stream", "in batches"), ("records", "record by record")):
             run = in_own_process(step, place)

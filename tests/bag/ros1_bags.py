@@ -85,6 +85,23 @@ class Maker:
         )
 
 
+def ros1_message(store, name: str, message: dict):
+    make = Maker(store)
+    values = {}
+    for field in texts.definitions(name)[name]:
+        value = message[field.name]
+        if field.type == "std_msgs/Header":
+            stamp = value["stamp"]
+            value = make.header(stamp["sec"] * 10**9 + stamp["nanosec"], value["frame_id"])
+        elif "/" in field.type:
+            one = [ros1_message(store, field.type, v) for v in ([value] if field.count is None else value)]
+            value = one[0] if field.count is None else one
+        elif field.count is not None and field.type == "float64":
+            value = np.array(value, dtype=np.float64)
+        values[field.name] = list(value) if isinstance(value, tuple) else value
+    return store.types[name.replace("/", "/msg/")](**values)
+
+
 def samples_of_2021(make: Maker, seconds: int = 10):
     """(topic, type, arrival ns, message): both ends, two interfaces, one delay stamp for ever, as recorded in 2021."""
     for second in range(seconds):

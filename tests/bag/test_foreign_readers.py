@@ -24,7 +24,7 @@ from linkrover.messages.schema import parse_definitions
 from linkrover.records import LinkUtilization, Manifest, NetworkDelay, Pose, WirelessLink
 from tests.messages.strategies import any_record
 
-from .ros1_bags import Maker, samples_of_2021
+from .ros1_bags import Maker, ros1_message, samples_of_2021
 from .samples import T0, manifest, record_all
 
 # the typestore generates its own functions by the definitions in the file: an independent serializer
@@ -170,23 +170,6 @@ def test_our_ros_1_bytes_are_those_of_rosbags_serializer(record):
     theirs = bytes(store.serialize_ros1(ros1_message(store, name, message), name.replace("/", "/msg/")))
     assert codec.encode(message) == theirs
     assert from_message(type(record), codec.decode(theirs)) == record
-
-
-def ros1_message(store, name: str, message: dict):
-    make = Maker(store)
-    values = {}
-    for field in texts.definitions(name)[name]:
-        value = message[field.name]
-        if field.type == "std_msgs/Header":
-            stamp = value["stamp"]
-            value = make.header(stamp["sec"] * 10**9 + stamp["nanosec"], value["frame_id"])
-        elif "/" in field.type:
-            one = [ros1_message(store, field.type, v) for v in ([value] if field.count is None else value)]
-            value = one[0] if field.count is None else one
-        elif field.count is not None and field.type == "float64":
-            value = np.array(value, dtype=np.float64)
-        values[field.name] = list(value) if isinstance(value, tuple) else value
-    return store.types[name.replace("/", "/msg/")](**values)
 
 
 @functools.cache

@@ -7,10 +7,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import get_types_from_msg
 
 from linkrover.bag import TopicPattern, load_patterns, read_recording
 from linkrover.bag.patterns import DEFAULT_PATTERNS
 from linkrover.errors import ConfigError
+from linkrover.messages import messages_of, texts
 from linkrover.records import (
     Continuity,
     LinkUtilization,
@@ -21,8 +24,8 @@ from linkrover.records import (
     WirelessLink,
 )
 
-from .ros1_bags import STARTED, Maker, bag_of_2021, samples_of_2021, typestore
-from .samples import T0
+from .ros1_bags import STARTED, Maker, bag_of_2021, ros1_message, samples_of_2021, typestore
+from .samples import T0, record_number
 
 
 def test_both_ends_and_interfaces_are_told_apart(tmp_path):
@@ -167,3 +170,25 @@ def test_a_bag_of_the_real_rosbag_reads_like_one_of_rosbags(tmp_path, compressio
 def test_the_samples_cover_every_2021_type_a_bag_holds():
     kinds = {kind for _, kind, _, _ in samples_of_2021(Maker(typestore()), 1)}
     assert len(kinds) == 6
+
+
+def test_our_own_topics_recorded_by_rosbag_come_back_whole(tmp_path):
+    """`rosbag record` on a graph where our nodes publish: full and 2021 types side by side, read once."""
+    store = typestore()
+    types = {}
+    for name in texts.names("linkrover_msgs"):
+        types.update(get_types_from_msg(texts.text(name), name.replace("/", "/msg/")))
+    store.register(types)
+    wanted = [record for n in range(20) for record in record_number(n)]
+    with Writer(tmp_path / "a.bag") as writer:
+        connections = {}
+        for record in wanted:
+            for topic, name, message in messages_of(record, "station"):
+                kind = name.replace("/", "/msg/")
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, kind, typestore=store)
+                raw = store.serialize_ros1(ros1_message(store, name, message), kind)
+                writer.write(connections[topic], record.wall_ns, raw)
+    recording = read_recording(tmp_path / "a.bag")
+    assert list(recording.records()) == wanted
+    assert recording.end == "station"

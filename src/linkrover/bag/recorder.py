@@ -102,9 +102,7 @@ class Recorder:
             self._tell()
         data = bytearray()
         try:
-            for index, (topic, message_type, message) in enumerate(messages_of(record, self.end)):
-                if index and not self._compatible:
-                    break
+            for topic, message_type, message in messages_of(record, self.end, compatible=self._compatible):
                 channel = self._channels.get(topic)
                 if channel is None:
                     channel = self._channels[topic] = self._open_channel(topic, message_type, data)

@@ -25,10 +25,15 @@ __all__ = [
 ]
 
 
-def messages_of(record: Record, end: str) -> Iterator[tuple[str, str, Message]]:
-    """(topic, message type, message) of everything a record is published as: the full one first."""
+def messages_of(record: Record, end: str, *, compatible: bool = True) -> Iterator[tuple[str, str, Message]]:
+    """(topic, message type, message) of everything a record is published as: the full one first.
+
+    compatible: also as the 2021 and standard types.
+    """
     places = topics(record, end)
     yield (*places[0], to_message(record, end))
+    if not compatible:
+        return
     for topic, message_type in places[1:]:
         found = to_2021(record) or to_standard(record)
         assert found is not None

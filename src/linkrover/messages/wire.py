@@ -6,6 +6,7 @@ generated, so a definition found in a file cannot become code.
 
 from __future__ import annotations
 
+import functools
 import struct
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -17,9 +18,25 @@ from .schema import PRIMITIVES, STRINGS, Definitions, Field
 CDR_HEADER = b"\x00\x01\x00\x00"  # plain CDR, little endian
 _SIZES = {code: struct.calcsize(code) for code in PRIMITIVES.values()}
 
+_PADDING = tuple(bytes(n) for n in range(8))
+
 Message = dict[str, Any]
 _Flatten = Callable[[Message, list[Any]], None]
 _Build = Callable[[Iterator[Any]], Message]
+
+
+# a recording repeats the same few strings
+@functools.lru_cache(maxsize=1024)
+def _cdr_string(value: str) -> bytes:
+    # a lone surrogate (an undecodable SSID byte) must not cost the sample
+    data = value.encode("utf-8", "replace")
+    return (len(data) + 1).to_bytes(4, "little") + data + b"\0"
+
+
+@functools.lru_cache(maxsize=1024)
+def _ros1_string(value: str) -> bytes:
+    data = value.encode("utf-8", "replace")
+    return len(data).to_bytes(4, "little") + data
 
 
 class _Run:
@@ -174,21 +191,16 @@ class _Plan:
 
     def _align(self, out: bytearray, base: int, size: int) -> None:
         if self.aligned:
-            out += bytes(-(len(out) - base) % size)
+            out += _PADDING[-(len(out) - base) % size]
 
     def _write_string(self, out: bytearray, value: str, base: int, kind: str) -> None:
         if kind == "wstring":
             raise struct.error("wide strings are read, not written")
-        # a lone surrogate (an undecodable SSID byte) must not cost the sample
-        data = value.encode("utf-8", "replace")
         if self.aligned:
-            self._align(out, base, 4)
-            out += (len(data) + 1).to_bytes(4, "little")
-            out += data
-            out.append(0)
+            out += _PADDING[-(len(out) - base) & 3]
+            out += _cdr_string(value)
         else:
-            out += len(data).to_bytes(4, "little")
-            out += data
+            out += _ros1_string(value)
 
     def read(self, data: memoryview, at: int, base: int, values: list[Any], endian: str) -> int:
         """Append the values found at `at`; the position after them."""
