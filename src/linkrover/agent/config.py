@@ -73,6 +73,7 @@ class AgentConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     emulated: bool = False
     log_period_s: float = 5.0
     scan_period_s: float = 0.0  # 0 = never: a scan disturbs the link
+    scan_mhz: tuple[int, ...] = ()  # channels to scan; none named = all that the radio may use
     rates: Rates = msgspec.field(default_factory=Rates)
     probe: Probe = msgspec.field(default_factory=Probe)
     reflector: Reflector = msgspec.field(default_factory=Reflector)

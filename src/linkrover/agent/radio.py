@@ -118,7 +118,7 @@ class _Scans:
         try:
             index = self._reader.interface(self._iface).ifindex
             if index is not None:
-                self._scanner.start(index)
+                self._scanner.start(index, self._agent.config.scan_mhz)
         except LinkRoverError as error:
             self._agent.complain(self._title, str(error))
             return (self._event(f"not started: {error}"),)

@@ -41,6 +41,7 @@ def agent(
     errors_rate: float | None = None,
     tcp_rate: float | None = None,
     scan_period: float | None = None,
+    scan_mhz: Annotated[list[int] | None, Parameter(negative=())] = None,
     probe_rate: float | None = None,
     port: int | None = None,
     key_file: Path | None = None,
@@ -96,6 +97,9 @@ def agent(
     scan_period
         Scan for other access points every so many seconds, at least 5; 0 = never. A scan leaves the channel and so
         disturbs the link; it needs CAP_NET_ADMIN and is recorded. [default: 0]
+    scan_mhz
+        Scan only this channel, by its frequency; may be given several times. All channels take seconds, under traffic
+        much longer. [default: all]
     probe_rate
         Probes per second to each peer, 1 to 1000; 0 = off. [default: 10]
     port
@@ -132,6 +136,7 @@ def agent(
             "wait": wait or None,
             "wireless_path": wireless_path,
             "scan_period_s": scan_period,
+            "scan_mhz": scan_mhz,
             "case": case,
             "trial": trial,
             "run": run,
