@@ -56,11 +56,13 @@ class Window:
         return np.asarray(np.interp(stops, edges, level) - np.interp(starts, edges, level), dtype=np.float64)
 
     def contains(self, times: Floats) -> NDArray[np.bool_]:
-        """Which instants lie in this set."""
+        """Which instants lie in this set; its very last instant does too, so that a run's last sample counts."""
         import numpy as np
 
+        if not len(self.begins):
+            return np.zeros(len(times), bool)
         at = np.searchsorted(self.begins, times, side="right") - 1
-        return (at >= 0) & (times < self.ends[np.maximum(at, 0)]) if len(self.begins) else np.zeros(len(times), bool)
+        return (at >= 0) & ((times < self.ends[np.maximum(at, 0)]) | (times == self.ends[-1]))
 
     def intersect(self, other: Window) -> Window:
         """What both have in common."""
