@@ -90,3 +90,32 @@ def test_a_run_without_path_delay_or_lines_still_gives_a_page(tmp_path):
     bare = replace(run_view(), lines=(), path=None, outages=(), summary={})
     write_page([bare], tmp_path / "bare.html")
     assert "The run lasted 300 s." in (tmp_path / "bare.html").read_text()
+
+
+def test_several_runs_are_laid_side_by_side_on_one_scale():
+    from linkrover.report.floor import side_by_side
+
+    views = [run_view(f"case {c}", str(c), 1) for c in (1, 2)]
+    figure = side_by_side(views, "throughput")
+    assert figure is not None
+    assert {trace["marker"]["coloraxis"] for trace in figure["data"]} == {"coloraxis"}
+    assert "sent" not in figure["data"][0]["text"][0]
+    assert side_by_side(views[:1], "throughput") is None
+
+
+def test_an_estimated_map_stands_beside_its_error_with_antenna_dead_zones_and_walls():
+    from linkrover.analysis.space import Anchor, DeadZone, Surface
+    from linkrover.report.floor import estimated_maps
+
+    surface = Surface(
+        quantity="rssi", unit="dBm", x_m=[0.0, 1.0], y_m=[0.0, 1.0], mean=[[-50.0, -51.0], [-52.0, -53.0]],
+        standard_error=[[1.0, 1.0], [2.0, 2.0]], points=12, length_scale_m=2.0,
+    )  # fmt: skip
+    anchor = Anchor(x_m=0.5, y_m=0.5, radius_m=1.0, rssi_1m_dbm=-40.0, exponent=2.5, sigma_db=3.0)
+    zone = DeadZone(x_m=1.0, y_m=1.0, area_m2=2.0, seconds=5.0)
+    figure = estimated_maps([surface], anchor, [zone], walls=[(0.0, 0.0, 1.0, 1.0)])
+    assert figure is not None
+    heat = [trace for trace in figure["data"] if trace["type"] == "heatmap"]
+    assert [h["z"] for h in heat] == [surface.mean, surface.standard_error]
+    assert len(figure["layout"]["shapes"]) == 2
+    assert sum(trace["type"] == "scatter" for trace in figure["data"]) == 4

@@ -44,6 +44,7 @@ def run_view(name: str = "demo", case: str = "1", trial: int | None = 1) -> RunV
             Line("rssi", "station wlan0", "station", t_s, rssi + 1, "wlan0"),
             Line("throughput", "robot wlan0 tx", "robot", each_s, rate, "wlan0", "tx"),
             Line("throughput", "station wlan0 rx", "station", each_s, rate, "wlan0", "rx"),
+            Line("throughput", "robot wlan0 both", "robot", each_s, rate + 0.3, "wlan0", "both"),
             Line("delay", "STAMP", "robot", t_s, rtt_ms, method="stamp"),
         ),
         lost_t_s=t_s[1000:1080],

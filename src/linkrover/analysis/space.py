@@ -285,7 +285,8 @@ def dead_zones(run: Run, cell_m: float = 1.0, rssi_dbm: float = DEAD_RSSI_DBM) -
 def locate_anchor(run: Run, reach_m: float = 15.0) -> Anchor | None:
     """Position of the fixed end's antenna: the log-distance law fitted over a grid of places.
 
-    `None` without odometry, with fewer than 20 places, or where the signal does not fall with any distance.
+    `None` without odometry, with fewer than 20 places, or where the best law is none a radio could follow (exponent
+    outside 1 to 7, or the place at the edge of the search): then the drive does not tell where the antenna is.
     """
     import numpy as np
 
@@ -295,6 +296,7 @@ def locate_anchor(run: Run, reach_m: float = 15.0) -> Anchor | None:
     x, y, rssi = found
     centre: tuple[float, float] | None = None
     step, xs, ys = 1.0, np.arange(x.min() - reach_m, x.max() + reach_m), np.arange(y.min() - reach_m, y.max() + reach_m)
+    inside_x, inside_y = (float(xs[0]) + 1, float(xs[-1]) - 1), (float(ys[0]) + 1, float(ys[-1]) - 1)
     best: tuple[Floats, Floats, Floats, Floats] | None = None
     for _ in range(2):
         gx, gy = (g.ravel() for g in np.meshgrid(xs, ys))
@@ -316,6 +318,10 @@ def locate_anchor(run: Run, reach_m: float = 15.0) -> Anchor | None:
     assert centre is not None
     gx, gy, error, slope = best
     at = int(np.argmin(error))
+    if not 1.0 <= -slope[at] <= 7.0 or not (
+        inside_x[0] < centre[0] < inside_x[1] and inside_y[0] < centre[1] < inside_y[1]
+    ):
+        return None
     variance = float(error[at]) / max(len(x) - 4, 1)
     # neighbouring places share their shadowing: about one independent place every three metres of way
     independent = max(5.0, len(x) * 0.25 / 3.0)

@@ -91,7 +91,7 @@ def _run_figure(view: RunView) -> Figure | None:
 def _path_figure(view: RunView) -> Figure | None:
     if view.path is None or len(view.path.t_s) < 2:
         return None
-    lines = next((lines for kind in TITLES if (lines := view.of(kind))), [])
+    lines = next((lines for kind in TITLES if (lines := view.over_floor(kind))), [])
     figure, (ax,) = _figure(5.4)
     ax.plot(view.path.x_m, view.path.y_m, color="0.7", lw=0.8)
     if lines:
@@ -113,13 +113,13 @@ def _path_figure(view: RunView) -> Figure | None:
 
 
 def _cases_figure(views: Sequence[RunView], kind: str) -> Figure | None:
-    shown = [(view, view.of(kind)) for view in views if view.of(kind)]
+    shown = [(view, view.over_floor(kind)) for view in views if view.over_floor(kind)]
     if not shown:
         return None
     figure, (ax,) = _figure(3.2)
     cases = list(dict.fromkeys(view.case for view, _ in shown))
     for view, lines in shown:
-        line = next((x for x in lines if x.end == "robot"), lines[0])
+        line = lines[0]
         t_s, value = thin(line.t_s, line.value)
         index = cases.index(view.case)
         label = view.case if view is next(v for v, _ in shown if v.case == view.case) else None

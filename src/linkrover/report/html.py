@@ -28,6 +28,12 @@ METHOD = (
 )
 
 
+SURFACE = (
+    "A Gaussian process fitted to the values along the way (at most 200 places), beside its standard error: trust the "
+    "estimate only where the error is small. Star: the fixed end's antenna as the signal suggests; cross: dead zone."
+)
+
+
 def write_page(
     views: Sequence[RunView],
     out: FilePath,
@@ -36,11 +42,12 @@ def write_page(
     comparison: Sequence[str] = (),
     tables: Sequence[Table] = (),
     maps: dict[str, interactive.Figure] | None = None,
+    floors: dict[str, interactive.Figure] | None = None,
 ) -> None:
     """Write the report of `views` to the one file `out`.
 
-    comparison: what may be said about the set-ups, in sentences; tables: those of the comparison; maps: further
-    figures by run name.
+    comparison: what may be said about the set-ups, in sentences; tables: those of the comparison; maps: estimated
+    maps by run name; floors: all runs side by side, by quantity.
     """
     page = Page(title)
     # Many runs on one page stay light: each line gets fewer points.
@@ -59,6 +66,9 @@ def write_page(
         page.bullets(comparison)
         for table in tables:
             page.table(table)
+    for quantity, figure in (floors or {}).items():
+        page.heading(f"All runs on one scale: {quantity}")
+        page.figure(f"floor-{quantity}", figure, f"paths of all runs coloured by {quantity} on one scale")
     for index, view in enumerate(views):
         _run(page, view, index, most, (maps or {}).get(view.name), alone=len(views) == 1)
     page.section("method", "Method and limits")
@@ -90,15 +100,18 @@ def _run(page: Page, view: RunView, index: int, most: int, surface: interactive.
         page.heading("Along the path")
         page.figure(f"{key}-map", track, f"path of the robot in {view.name}, coloured by what was measured there")
     if surface is not None:
+        page.heading("Estimated over the floor")
+        page.words([SURFACE])
         page.figure(f"{key}-surface", surface, f"estimated map of {view.name} with its standard error")
     spread = interactive.distributions(view)
     if spread is not None:
         page.heading("Distributions")
         page.figure(f"{key}-spread", spread, f"distributions of round trip and RSSI in {view.name}")
-    page.heading("Figures")
-    page.table(_figures_table(view, key))
-    if view.outages:
-        page.fold(f"Outages ({len(view.outages)})", _outage_table(view, key))
+    if view.tables:
+        page.heading("Figures")
+    for table in view.tables:
+        page.table(table)
+    page.bullets(view.notes)
     if view.recoveries:
         page.heading("What came back when")
         page.bullets(view.recoveries)
@@ -118,7 +131,7 @@ def _cards(view: RunView) -> list[tuple[str, str]]:
         for iface, values in (figures.get("interfaces") or {}).items():
             throughput = (values.get("throughput_mbps") or {}).get("mean")
             rssi = (values.get("rssi_dbm") or {}).get("mean")
-            if throughput is not None:
+            if throughput is not None and (throughput or rssi is not None):
                 cards.append((f"{number(throughput)} Mbit/s", f"throughput, {end} {iface}"))
             if rssi is not None:
                 cards.append((f"{number(rssi)} dBm", f"RSSI, {end} {iface}"))
@@ -164,64 +177,6 @@ def _overview(views: Sequence[RunView]) -> Table:
         "time out, %",
     )
     return Table("overview", "All runs", head, tuple(rows), text_columns=frozenset({0, 1}))
-
-
-_ROWS = (
-    ("throughput_mbps", "mean", "throughput mean, Mbit/s"),
-    ("throughput_mbps", "std", "throughput std, Mbit/s"),
-    ("throughput_mbps", "tx_mean", "sent mean, Mbit/s"),
-    ("throughput_mbps", "rx_mean", "received mean, Mbit/s"),
-    ("throughput_mbps", "connected_mean", "throughput while connected, Mbit/s"),
-    ("rssi_dbm", "mean", "RSSI mean, dBm"),
-    ("rssi_dbm", "std", "RSSI std, dB"),
-)
-_DELAY_ROWS = (
-    ("mean", "round trip mean, ms"),
-    ("std", "round trip std, ms"),
-    ("median", "round trip median, ms"),
-    ("p95", "round trip 95th percentile, ms"),
-    ("p99", "round trip 99th percentile, ms"),
-    ("censored_mean", "round trip mean with losses at the deadline, ms"),
-    ("loss_percent", "probes lost, %"),
-    ("time_out_percent", "time out, %"),
-)
-
-
-def _figures_table(view: RunView, key: str) -> Table:
-    parts: list[tuple[str, dict[str, Any]]] = [("whole run", view.summary)]
-    parts += [(name, view.summary[name]) for name in ("static", "moving") if view.summary.get(name)]
-    rows: list[tuple[str, ...]] = []
-    for name, label in _DELAY_ROWS:
-        values = [(part.get("delay_ms") or {}).get(name) for _, part in parts]
-        rows.append((label, *(number(v) for v in values)))
-    for end, figures in (view.summary.get("ends") or {}).items():
-        for iface in figures.get("interfaces") or {}:
-            of = [
-                (((part.get("ends") or {}).get(end) or {}).get("interfaces") or {}).get(iface) or {}
-                for _, part in parts
-            ]
-            for group, name, label in _ROWS:
-                values = [(o.get(group) or {}).get(name) for o in of]
-                if any(v is not None for v in values):
-                    rows.append((f"{end} {iface}: {label}", *(number(v) for v in values)))
-            retransmits = [o.get("retransmits") for o in of]
-            rows.append((f"{end} {iface}: TCP retransmits (whole machine)", *(number(v) for v in retransmits)))
-    head = ("figure", *(name for name, _ in parts))
-    return Table(f"{key}-figures", f"Figures of {view.name}", head, tuple(rows))
-
-
-def _outage_table(view: RunView, key: str) -> Table:
-    rows = []
-    for outage in view.outages:
-        place = ("unknown", "unknown")
-        if view.path is not None:
-            import numpy as np
-
-            x, y = view.path.at(np.array([outage.start_s]))
-            place = (number(float(x[0])), number(float(y[0])))
-        rows.append((number(outage.start_s, 4), number(outage.end_s - outage.start_s), *place))
-    head = ("began, s", "lasted, s", "at x, m", "at y, m")
-    return Table(f"{key}-outages", "Stretches without an answered probe", head, tuple(rows))
 
 
 def _event_table(view: RunView, key: str) -> Table:

@@ -13,7 +13,8 @@ from .view import UNITS, Floats, Line, RunView
 Figure = dict[str, Any]
 
 _ROWS = (("rssi", "RSSI"), ("throughput", "throughput"), ("delay", "round trip"))
-_BASE_LAYOUT: dict[str, Any] = {
+TITLES = dict(_ROWS)
+BASE_LAYOUT: dict[str, Any] = {
     "margin": {"l": 62, "r": 12, "t": 12, "b": 44},
     "paper_bgcolor": "rgba(0,0,0,0)",
     "plot_bgcolor": "rgba(0,0,0,0)",
@@ -23,7 +24,8 @@ _BASE_LAYOUT: dict[str, Any] = {
 }
 
 
-def _numbers(values: Floats, digits: int) -> list[float | None]:
+def numbers(values: Floats, digits: int) -> list[float | None]:
+    """Rounded for the page; NaN becomes null."""
     return [None if not np.isfinite(v) else round(float(v), digits) for v in values]
 
 
@@ -32,8 +34,8 @@ def _trace(line: Line, axis: str, dash: str, most: int) -> dict[str, Any]:
     t_s, value = thin_points(line.t_s, line.value, 3 * most) if cloud else thin(line.t_s, line.value, most)
     trace: dict[str, Any] = {
         "type": "scatter",
-        "x": _numbers(t_s, 3),
-        "y": _numbers(value, 3),
+        "x": numbers(t_s, 3),
+        "y": numbers(value, 3),
         "name": line.name,
         "xaxis": "x",
         "yaxis": axis,
@@ -58,7 +60,7 @@ def time_series(view: RunView, most: int = 2000) -> Figure | None:
     rows = [row for row in rows if row[2]]
     if not rows:
         return None
-    layout: dict[str, Any] = dict(_BASE_LAYOUT)
+    layout: dict[str, Any] = dict(BASE_LAYOUT)
     height = 0.94 / len(rows)
     traces: list[dict[str, Any]] = []
     for i, (kind, title, lines) in enumerate(rows):
@@ -86,7 +88,7 @@ def time_series(view: RunView, most: int = 2000) -> Figure | None:
                     "type": "scatter",
                     "mode": "markers",
                     "name": "lost probe",
-                    "x": _numbers(lost, 3),
+                    "x": numbers(lost, 3),
                     "y": [high] * len(lost),
                     "yaxis": axis,
                     "xaxis": "x",
@@ -132,8 +134,8 @@ def path_map(view: RunView, most: int = 1500) -> Figure | None:
     ground: dict[str, Any] = {
         "type": "scatter",
         "mode": "lines",
-        "x": _numbers(path.x_m[keep], 3),
-        "y": _numbers(path.y_m[keep], 3),
+        "x": numbers(path.x_m[keep], 3),
+        "y": numbers(path.y_m[keep], 3),
         "line": {"color": "rgba(128,128,128,.5)", "width": 1},
         "hoverinfo": "skip",
         "showlegend": False,
@@ -142,9 +144,9 @@ def path_map(view: RunView, most: int = 1500) -> Figure | None:
     buttons: list[dict[str, Any]] = []
     coloured: list[tuple[str, dict[str, Any]]] = []
     for kind, title in _ROWS:
-        for line in view.of(kind):
-            if kind == "throughput" and line.direction == "tx":
-                continue
+        for line in view.over_floor(kind):
+            if not np.nanmax(np.abs(line.value)):
+                continue  # an interface that carried nothing
             coloured.append((f"{title}: {line.name}", _coloured_path(view, line, most)))
     for i, (title, trace) in enumerate(coloured):
         trace["visible"] = i == 0
@@ -165,7 +167,7 @@ def path_map(view: RunView, most: int = 1500) -> Figure | None:
         }
     )
     layout: dict[str, Any] = {
-        **_BASE_LAYOUT,
+        **BASE_LAYOUT,
         "hovermode": "closest",
         "margin": {"l": 52, "r": 12, "t": 52, "b": 44},
         "xaxis": {"title": {"text": "x, m"}, "gridcolor": "rgba(128,128,128,.25)", "zeroline": False},
@@ -198,12 +200,12 @@ def _coloured_path(view: RunView, line: Line, most: int) -> dict[str, Any]:
         "type": "scatter",
         "mode": "markers",
         "name": line.name,
-        "x": _numbers(x[shown], 3),
-        "y": _numbers(y[shown], 3),
-        "customdata": _numbers(t_s[shown], 3),
+        "x": numbers(x[shown], 3),
+        "y": numbers(y[shown], 3),
+        "customdata": numbers(t_s[shown], 3),
         "text": [f"{v:.4g} {unit}" for v in value[shown]],
         "hovertemplate": "%{text} at %{customdata:.1f} s<extra></extra>",
-        "marker": {"size": 7, "color": _numbers(colour, 4), "colorscale": palette.MAP_SCALE, "colorbar": bar},
+        "marker": {"size": 7, "color": numbers(colour, 4), "colorscale": palette.MAP_SCALE, "colorbar": bar},
     }
 
 
@@ -215,9 +217,9 @@ def _outage_starts(view: RunView) -> dict[str, Any]:
         "type": "scatter",
         "mode": "markers",
         "name": "outage begins",
-        "x": _numbers(x, 3),
-        "y": _numbers(y, 3),
-        "customdata": _numbers(starts, 3),
+        "x": numbers(x, 3),
+        "y": numbers(y, 3),
+        "customdata": numbers(starts, 3),
         "hovertemplate": "outage begins at %{customdata:.1f} s<extra></extra>",
         "marker": {"symbol": "x", "size": 11, "color": palette.OUTAGE},
     }
@@ -229,7 +231,7 @@ def distributions(view: RunView, points: int = 400) -> Figure | None:
     if not kinds:
         return None
     layout: dict[str, Any] = {
-        **_BASE_LAYOUT,
+        **BASE_LAYOUT,
         "hovermode": "closest",
         "height": 380,
         "legend": {"orientation": "h", "y": -0.24, "yanchor": "top"},
@@ -247,8 +249,8 @@ def distributions(view: RunView, points: int = 400) -> Figure | None:
                     "type": "scatter",
                     "mode": "lines",
                     "name": f"{kind}: {line.name}",
-                    "x": _numbers(known[keep], 3),
-                    "y": _numbers(share[keep], 4),
+                    "x": numbers(known[keep], 3),
+                    "y": numbers(share[keep], 4),
                     "xaxis": f"x{suffix}",
                     "yaxis": f"y{suffix}",
                     "line": {"color": palette.end_colour(line.end), "shape": "hv"},

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from .page import Table
+
 Floats = npt.NDArray[np.float64]
 
 UNITS = {"rssi": "dBm", "throughput": "Mbit/s", "delay": "ms", "one-way": "ms"}
@@ -75,11 +77,23 @@ class RunView:
     outages: tuple[OutageView, ...] = ()
     events: tuple[EventView, ...] = ()
     recoveries: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
     setup: dict[str, dict[str, str]] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     repairs: tuple[str, ...] = ()
     kind: str = "measured"  # measured, emulated, simulated, imported
 
     def of(self, kind: str) -> list[Line]:
-        """The lines of one kind that hold at least one value."""
+        """The lines of one kind that hold at least one value, over time: throughput by direction."""
+        return [line for line in self._known(kind) if line.direction != "both"]
+
+    def over_floor(self, kind: str) -> list[Line]:
+        """The lines of one kind to colour a path with, the busiest interface of the robot first: throughput of both
+        directions together.
+        """
+        lines = [line for line in self._known(kind) if line.direction in ("", "both") and line.end != "truth"]
+        return sorted(lines, key=lambda x: (x.end != "robot", -float(np.nanmean(x.value)) if x.direction else 0.0))
+
+    def _known(self, kind: str) -> list[Line]:
         return [line for line in self.lines if line.kind == kind and np.isfinite(line.value).any()]

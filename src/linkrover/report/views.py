@@ -15,19 +15,29 @@ from linkrover.analysis.run import End, Run
 from linkrover.analysis.summary import RunSummary
 from linkrover.records import Manifest
 
+from .floor import Wall, estimated_maps, side_by_side
+from .interactive import TITLES, Figure
 from .page import Table as PageTable
+from .place_words import place_words
+from .run_words import summary_words
 from .table import Table
+from .tables import run_table
 from .view import EventView, Line, OutageView, Path, RunView
+
+MOST_RUNS_WITH_MAPS = 4
 
 
 def view_of(run: Run, summary: RunSummary) -> RunView:
     """Everything the page shows of one run."""
+    from .document import outage_table
+
     lines: list[Line] = []
     for role, end in run.ends.items():
         lines += _signal(run, role, end) + _throughput(role, end)
     probes = find_probes(run)
     lines += _delays(run, probes)
     lines += _truth(run)
+    tables = [run_table(summary), *([outage_table(summary)] if summary.outages else [])]
     return RunView(
         name=run.name,
         case=run.case or "",
@@ -39,6 +49,8 @@ def view_of(run: Run, summary: RunSummary) -> RunView:
         path=_path(run),
         outages=tuple(OutageView(o.start_s, o.end_s) for o in summary.outages),
         events=_events(run),
+        notes=(*summary_words(summary), *(place_words(run) if summary.method == "linkrover" else ())),
+        tables=tuple(page_table(table) for table in tables),
         recoveries=tuple(recovery_sentence(r) for r in summary.recoveries),
         setup={role: _setup(end.manifest) for role, end in run.ends.items() if end.manifest is not None},
         problems=summary.problems,
@@ -47,19 +59,39 @@ def view_of(run: Run, summary: RunSummary) -> RunView:
     )
 
 
-def write_html(runs: Sequence[Run], summaries: Sequence[RunSummary], out: FilePath, needs: Sequence[str] = ()) -> None:
+def write_html(
+    runs: Sequence[Run],
+    summaries: Sequence[RunSummary],
+    out: FilePath,
+    needs: Sequence[str] = (),
+    walls: Sequence[Wall] = (),
+) -> None:
     """One HTML file without network access for these runs, with the comparison where there are several."""
     from .document import comparison_sections
     from .html import write_page
 
     views = [view_of(run, summary) for run, summary in zip(runs, summaries, strict=True)]
     sections = comparison_sections(summaries, runs, needs)
+    floors = {kind: side_by_side(views, kind, walls) for kind in TITLES} if len(views) > 1 else {}
     write_page(
         views,
         out,
         comparison=[sentence for section in sections for sentence in section.words],
         tables=[page_table(table) for section in sections for table in section.tables],
+        maps={run.name: drawn for run in runs if (drawn := _maps(run, len(runs), walls)) is not None},
+        floors={TITLES[kind]: figure for kind, figure in floors.items() if figure is not None},
     )
+
+
+def _maps(run: Run, among: int, walls: Sequence[Wall]) -> Figure | None:
+    """Estimated maps; a Gaussian process takes about a second, so a page of many runs shows the RSSI's or none."""
+    if run.pose is None or among > MOST_RUNS_WITH_MAPS:
+        return None
+    from linkrover.analysis.space import dead_zones, locate_anchor, surface
+
+    quantities = ("rssi", "throughput", "delay") if among == 1 else ("rssi",)
+    surfaces = [found for quantity in quantities if (found := surface(run, quantity)) is not None]
+    return estimated_maps(surfaces, locate_anchor(run), dead_zones(run), walls) if surfaces else None
 
 
 def page_table(table: Table) -> PageTable:
@@ -99,6 +131,9 @@ def _throughput(role: str, end: End) -> list[Line]:
             rate = np.where(table["has_base"], table[f"{direction}_bits"] / length / 1e6, np.nan)
             name = f"{word} by the {role} ({iface})"
             found.append(Line("throughput", name, role, table["t_s"], rate, iface=iface, direction=direction))
+        both = np.where(table["has_base"], (table["tx_bits"] + table["rx_bits"]) / length / 1e6, np.nan)
+        name = f"sent + received by the {role} ({iface})"
+        found.append(Line("throughput", name, role, table["t_s"], both, iface=iface, direction="both"))
     return found
 
 

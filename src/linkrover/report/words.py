@@ -53,6 +53,8 @@ def _interface(end: str, iface: str, values: dict[str, Any]) -> str:
     throughput = values.get("throughput_mbps") or {}
     rssi = values.get("rssi_dbm") or {}
     parts = []
+    if not throughput.get("mean") and rssi.get("mean") is None:
+        return ""  # an interface that carried nothing and heard nothing
     if throughput.get("mean") is not None:
         parts.append(
             f"carried {number(throughput['mean'])} Mbit/s on average{interval(throughput.get('mean_ci95'))}"
