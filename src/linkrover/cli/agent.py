@@ -214,6 +214,8 @@ def _run(measuring: Agent, settings: AgentConfig, *, json: bool, plain: bool) ->
         logging.getLogger("linkrover").removeHandler(handler)
         for line in handler.held or ():
             errors.write(line)
+        if out.dropped:
+            errors.write(f"linkrover: {out.dropped} lines were not shown: whoever reads them was too slow\n")
         if recorder is not None:
             errors.write(_recorded(recorder))
         for output in {out, errors}:

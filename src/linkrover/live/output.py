@@ -23,26 +23,25 @@ class Output:
         self.broken = False
         self._fd = fd
         self._on_broken = on_broken
-        self._queue: deque[bytes] = deque()
+        self._queue: deque[tuple[bytes, bool]] = deque()  # data, whether it is a frame
         self._queued_bytes = 0
         self._condition = threading.Condition()
         self._closing = False
         self._thread = threading.Thread(target=self._run, name="linkrover-output", daemon=True)
         self._thread.start()
 
-    def write(self, text: str | bytes, *, instead: bool = False) -> None:
-        """Queue text. instead: it takes the place of all that was not written yet (a new frame of a view)."""
+    def write(self, text: str | bytes, *, frame: bool = False) -> None:
+        """Queue text. A frame of a view takes the place of an earlier frame that was not written yet."""
         data = text.encode("utf-8", "backslashreplace") if isinstance(text, str) else text
         with self._condition:
             if self.broken:
                 return
-            if instead:
-                self._queue.clear()
-                self._queued_bytes = 0
-            self._queue.append(data)
+            if frame and self._queue and self._queue[-1][1]:
+                self._queued_bytes -= len(self._queue.pop()[0])
+            self._queue.append((data, frame))
             self._queued_bytes += len(data)
             while self._queued_bytes > QUEUE_BYTES and len(self._queue) > 1:
-                self._queued_bytes -= len(self._queue.popleft())
+                self._queued_bytes -= len(self._queue.popleft()[0])
                 self.dropped += 1
             self._condition.notify()
 
@@ -60,7 +59,7 @@ class Output:
                     self._condition.wait()
                 if not self._queue:
                     return
-                data = self._queue.popleft()
+                data, _ = self._queue.popleft()
                 self._queued_bytes -= len(data)
             if not self._write_all(data):
                 return

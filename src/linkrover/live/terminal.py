@@ -49,7 +49,7 @@ class TerminalView:
         width, height = self._size()
         lines = self.render(width).splitlines()[: max(1, height - 1)]
         frame = _HOME + "".join(f"{line}{_CLEAR_LINE}\r\n" for line in lines) + _CLEAR_BELOW
-        self._output.write(frame)
+        self._output.write(frame, frame=True)
         return ()
 
     def close(self) -> None:
