@@ -264,9 +264,9 @@ class Examination:
         return network.asymmetry(target, cases, strict)
 
     def _large(self) -> Finding:
-        summary = self._probe(count=LARGE_PROBES, size=LARGE_OCTETS)
         if not self._probes.answered:
             return unknown("large messages", "the peer does not answer small ones either")
+        summary = self._probe(count=LARGE_PROBES, size=LARGE_OCTETS)
         return path.large_messages(summary.answered + summary.late, summary.sent + summary.not_sent, LARGE_OCTETS)
 
     def _bufferbloat(self) -> list[Finding]:

@@ -84,7 +84,7 @@ looks up may carry nothing, and measuring one measures the other"
     return [
         judged(
             "subnets", Status.FAIL, f"{first} and {second} are both in {network}", why,
-            f"give them different subnets, or take one down: sudo ip link set {second} down",
+            f"sudo ip link set {second} down, or give them different subnets",
         )
         for network, first, second in shared
     ]  # fmt: skip
