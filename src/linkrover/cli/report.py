@@ -23,6 +23,7 @@ def report(
     need: Annotated[tuple[str, ...], Parameter(negative=())] = (),
     figures: Path | None = None,
     figure_format: Annotated[tuple[Literal["png", "svg", "pdf"], ...], Parameter(negative=())] = ("png",),
+    floor_plan: Path | None = None,
 ) -> int:
     """Report one or several runs: tables, words, figures.
 
@@ -56,6 +57,8 @@ def report(
         Folder to draw every figure into as a file of its own, besides the report.
     figure_format
         png, svg or pdf; may be given several times.
+    floor_plan
+        TOML file with [[walls]] (x1_m, y1_m, x2_m, y2_m in the odometry's frame) to draw under the maps.
     """
     import sys
 
@@ -65,6 +68,9 @@ def report(
     if not runs:
         print("linkrover: give at least one RUN: linkrover report RUN...", file=sys.stderr)
         return 2
+    from linkrover.radio.walls import FloorPlan, load_floor_plan
+
+    plan = load_floor_plan(floor_plan) if floor_plan is not None else FloorPlan()
     paths = find_runs(runs)
     loaded, failed = load_all(paths)
     for path, error in failed:
@@ -85,7 +91,8 @@ def report(
         from linkrover.report.views import write_html
 
         target = out or Path("linkrover-report.html")
-        write_html(loaded, summaries, target, need)
+        walls = [(w.x1_m, w.y1_m, w.x2_m, w.y2_m) for w in plan.walls]
+        write_html(loaded, summaries, target, need, walls)
         print(target)
     elif format == "json":
         import msgspec

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -76,6 +77,20 @@ class FloorPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         for wall in self.walls:
             total += wall.loss_db * _crosses(ax, ay, bx, by, wall)
         return total
+
+
+def load_floor_plan(path: Path) -> FloorPlan:
+    """A floor plan from a TOML file: [[walls]] with x1_m, y1_m, x2_m, y2_m and loss_db, and the extent if wanted.
+
+    Raises:
+        ConfigError: the file cannot be read, or is no floor plan; names the file and what is wrong.
+    """
+    try:
+        return msgspec.toml.decode(path.read_bytes(), type=FloorPlan)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}") from error
+    except (msgspec.DecodeError, ConfigError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: {error}") from error
 
 
 def _crosses(ax: Any, ay: Any, bx: Any, by: Any, wall: Wall) -> Any:
