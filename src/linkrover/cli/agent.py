@@ -46,6 +46,8 @@ def agent(
     port: int | None = None,
     key_file: Path | None = None,
     stress_token_file: Path | None = None,
+    control: Path | None = None,
+    control_port: int | None = None,
     case: str | None = None,
     trial: int | None = None,
     run: str | None = None,
@@ -108,6 +110,11 @@ def agent(
         File with the shared key of authenticated probes (RFC 8762), at both ends.
     stress_token_file
         Let `linkrover stress` load the link to here, for whoever holds the token in this file (docs/stress.md).
+    control
+        File with a campaign's key: do not measure now, but let `linkrover experiment run`, which holds the same key,
+        check this end and start and stop recordings below --record DIR (docs/experiment.md).
+    control_port
+        TCP port of --control. [default: 8622]
     case
         Name of the set-up under test, for the recording.
     trial
@@ -154,6 +161,11 @@ def agent(
             "stress": {"token_file": stress_token_file},
         },
     )
+    if control is not None:
+        from linkrover.experiment.control import DEFAULT_PORT, load_key
+        from linkrover.experiment.control_server import serve
+
+        return serve(settings, load_key(control), DEFAULT_PORT if control_port is None else control_port)
     measuring = Agent(settings)
     return _run(measuring, settings, json=json, plain=plain)
 
