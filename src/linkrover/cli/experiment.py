@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 from cyclopts import App, Parameter
+from rich.markup import escape
 
 from linkrover.errors import ConfigError, LinkRoverError
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
+    from linkrover.experiment.campaign import Campaign
+    from linkrover.experiment.plan import TrialPlan
     from linkrover.experiment.runner import Run
 
 app = App(
@@ -97,6 +100,175 @@ def emulate(
         run_all(the_plan, runs, made, jobs=jobs, file=str(plan), show=show)
     seconds = time.monotonic() - began
     return _finish(console, runs, out, seconds, json)
+
+
+@app.command
+def run(
+    plan: Path,
+    *,
+    out: Path | None = None,
+    cases: Annotated[tuple[str, ...], Parameter(name="--case", negative=())] = (),
+    duration: float | None = None,
+    yes: Annotated[bool, Parameter(negative=())] = False,
+) -> int:
+    """Guide a real campaign: case by case and trial by trial, with both ends checked, recorded and read through.
+
+    Before, start an agent with a control port at each end; both, and the plan's campaign.key_file, hold the same key:
+
+    robot$ linkrover agent --control campaign.key --role robot --record ~/runs
+
+    station$ linkrover agent --control campaign.key --role station --reflect --record ~/runs
+
+    For each trial it names the set-up, checks both ends (control port, interfaces, probes answered, clocks, free disk),
+    starts both recordings, stops them when the drive is over, reads them through, and copies them into
+    OUT/<case>/trial-<n>/. Nothing is ever overwritten: a trial that is repeated gets a name of its own at the ends. Run
+    it again to go on where it was left.
+
+    Exit status: 0 every trial of the plan is whole, 1 some are missing, 130 interrupted.
+
+    Args:
+        plan: The plan, a TOML file with a [campaign] table.
+        out: Folder of the runs, by default <name of the plan>-campaign here.
+        cases: Only these cases; may be given several times.
+        duration: Seconds of each drive; by default until Enter is pressed.
+        yes: Ask nothing: go on where all checks pass, stop where one does not. Needs --duration.
+    """
+    from rich.console import Console
+
+    from linkrover.experiment.campaign import Campaign
+    from linkrover.experiment.plan import load_plan, trials
+
+    if duration is not None and not duration >= 1:
+        raise ConfigError(f"--duration {duration:g}: must be at least 1 s")
+    if yes and duration is None:
+        raise ConfigError("--yes needs --duration: there is nobody to say when a drive is over")
+    the_plan = load_plan(plan)
+    out = out or Path(f"{the_plan.name}-campaign")
+    campaign = Campaign(the_plan, out, plan.parent)
+    wanted = trials(the_plan, cases)
+    console = Console(highlight=False)
+    guide = _Guide(console, campaign, duration, yes)
+    with interruptible():
+        for each in wanted:
+            if not campaign.done(each) and not guide.trial(each):
+                break
+    missing = [each.folder for each in wanted if not campaign.done(each)]
+    whole = [out / each.folder for each in wanted if campaign.done(each)]
+    console.print(f"{len(whole)} of {len(wanted)} trials are whole, in {out}.", soft_wrap=True)
+    if missing:
+        console.print(f"Missing: {', '.join(missing)}. The same command goes on there.", soft_wrap=True)
+    if whole:
+        page, problem = write_report(console, whole, out / "report.html", table=False)
+        console.print(f"Report: {page}" if page is not None else str(problem), soft_wrap=True)
+    return 1 if missing else 0
+
+
+class _Guide:
+    """Asks and tells, trial by trial."""
+
+    def __init__(self, console: Console, campaign: Campaign, duration: float | None, yes: bool) -> None:
+        self._console = console
+        self._campaign = campaign
+        self._duration = duration
+        self._yes = yes
+
+    def trial(self, run: TrialPlan) -> bool:
+        """Guide one trial; False = leave the campaign now."""
+        case = run.case
+        parts = [
+            None if case.access_point is None else f"access point: {case.access_point}",
+            None if case.band_ghz is None else f"{case.band_ghz:g} GHz",
+            None if case.adapter is None else f"{case.adapter} adapter",
+            f"robot measures {', '.join(case.robot_interfaces)}, station {', '.join(case.station_interfaces)}",
+            case.note or None,
+        ]
+        self._console.print(f"\n[bold]Next: {case.name}, trial {run.trial}[/]  ({'; '.join(p for p in parts if p)})")
+        while True:
+            word = self._ask("Set it up, then Enter to check both ends; s skips this trial, q leaves", "")
+            if word == "q":
+                return False
+            if word == "s":
+                return True
+            if self._checked(run):
+                break
+            if self._yes:
+                return False
+        try:
+            return self._record(run)
+        except LinkRoverError as error:
+            self._console.print(f"[red]{escape(str(error))}[/]", soft_wrap=True)
+            return not self._yes
+
+    def _checked(self, run: TrialPlan) -> bool:
+        findings = self._campaign.check(run)
+        for finding in findings:
+            mark = {True: "[green]ok[/]  ", False: "[red]no[/]  ", None: "    "}[finding.ok]
+            self._console.print(f"  {mark}{finding.what}: {escape(finding.text)}", soft_wrap=True)
+        if all(finding.ok is not False for finding in findings):
+            return True
+        return self._ask("Not all is well. Enter checks again, g goes on all the same", "") == "g"
+
+    def _record(self, run: TrialPlan) -> bool:
+        console, campaign = self._console, self._campaign
+        if self._ask("All is well. Enter starts both recordings, q leaves", "") == "q":
+            return False
+        campaign.start(run)
+        began = time.monotonic()
+        interrupted = False
+        try:
+            self._wait(began)
+        except KeyboardInterrupt:
+            interrupted = True
+        seconds = time.monotonic() - began
+        console.print(f"Drive over after {seconds:.0f} s; stopping both recordings.")
+        trial = campaign.stop(run, seconds, lambda text: console.print(f"  {text}", soft_wrap=True))
+        for problem in trial.problems:
+            console.print(f"  [red]{escape(problem)}[/]", soft_wrap=True)
+        keep = not trial.problems
+        if trial.problems:
+            keep = self._ask("k keeps this trial all the same, Enter does it again (its recordings stay)", "") == "k"
+        if keep:
+            out = campaign.collect(run, trial)
+            counts = {end: sum(stopped.topics.values()) for end, stopped in
+                      (("robot", trial.robot), ("station", trial.station))}  # fmt: skip
+            console.print(f"  whole: {counts['robot']} and {counts['station']} messages, in {out}", soft_wrap=True)
+        elif not self._yes and not interrupted:
+            return self.trial(run)
+        if interrupted:
+            raise KeyboardInterrupt
+        return keep or not self._yes
+
+    def _wait(self, began: float) -> None:
+        """Until the drive is over: Enter, or the duration."""
+        import select
+        import sys
+
+        shown = -10.0
+        while True:
+            elapsed = time.monotonic() - began
+            if self._duration is not None and elapsed >= self._duration:
+                return
+            if elapsed - shown >= 10:
+                shown = elapsed
+                ends = self._campaign.recording()
+                states = [f"{end} {'records' if what else 'does NOT record'}" for end, what in ends.items()]
+                away = [f"{end} out of reach" for end in ("robot", "station") if end not in ends]
+                hint = "" if self._duration is not None else "; Enter when the drive is over"
+                self._console.print(f"  {elapsed:4.0f} s: {', '.join(states + away)}{hint}", soft_wrap=True)
+            if self._duration is not None:
+                time.sleep(min(0.2, max(0.0, self._duration - elapsed)))
+            elif select.select([sys.stdin], [], [], 0.2)[0]:
+                sys.stdin.readline()
+                return
+
+    def _ask(self, text: str, default: str) -> str:
+        if self._yes:
+            return default
+        self._console.print(f"{text}: ", end="")
+        try:
+            return input().strip().lower()
+        except EOFError:
+            return "q"
 
 
 class _progress:  # noqa: N801 - used as a function
