@@ -4,11 +4,13 @@ import socket
 import time
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from linkrover.errors import ParseError
 from linkrover.records import Continuity, Unknown
 from linkrover.sources.interface import InterfaceSocket, InterfaceWatch
-from linkrover.sources.netdev import NetdevReader
+from linkrover.sources.netdev import DeviceCounters, NetdevReader
 from linkrover.sources.network_errors import NetworkErrorsSource
 from linkrover.sources.snmp import NetstatReader, SnmpReader
 from linkrover.sources.utilization import UtilizationSource
@@ -201,3 +203,47 @@ def test_a_damaged_file_is_unknown_and_named_not_raised(tmp_path):
     assert record.rx_bytes == 3393
     assert (record.tcp_tx_segments, record.unknown["tcp_tx_segments"]) == (None, Unknown.UNSUPPORTED)
     assert isinstance(source.last_error, ParseError)
+
+
+class Scripted:
+    """A reader that gives what it is told, in place of the kernel."""
+
+    def __init__(self):
+        self.devices = {}
+
+    def read(self, only=None):
+        return {name: self.devices[name] for name in only if name in self.devices}
+
+    def close(self):
+        pass
+
+
+COUNTER = st.one_of(st.integers(0, 2**64 - 1), st.integers(2**32 - 5000, 2**32 + 5000), st.integers(0, 5000))
+STEPS = st.lists(st.none() | st.tuples(COUNTER, COUNTER, COUNTER, COUNTER), min_size=2, max_size=8)
+
+
+@given(STEPS)
+@settings(max_examples=150, deadline=None)
+def test_whatever_the_counters_do_a_rate_is_the_true_increment_or_none(steps):
+    reader = Scripted()
+    source = UtilizationSource([InterfaceWatch("lo")], netdev=reader, snmp=SnmpReader())
+    before = None
+    for step in steps:
+        if step is None:
+            reader.devices = {}
+        else:
+            rx, rx_packets, tx, tx_packets = step
+            reader.devices = {"lo": DeviceCounters(rx, rx_packets, 0, 0, tx, tx_packets, 0, 0)}
+        (record,) = source.sample()
+        if step is None:
+            assert (record.continuity, record.rx_bytes, record.rx_rate_bps) == (Continuity.GONE, None, None)
+        elif record.rx_rate_bps is not None:
+            rose = step[0] - before[0]
+            true = rose if rose >= 0 else rose + 2**32
+            assert record.rx_rate_bps == pytest.approx(true * 8e9 / record.interval_ns)
+            assert (record.continuity is Continuity.WRAPPED) or rose >= 0
+        else:
+            assert record.unknown["rx_rate_bps"] is Unknown.NO_BASE
+            assert record.continuity in {Continuity.FIRST, Continuity.BACK, Continuity.RESET}
+        before = step
+    source.close()
