@@ -62,7 +62,8 @@ class Window:
         if not len(self.begins):
             return np.zeros(len(times), bool)
         at = np.searchsorted(self.begins, times, side="right") - 1
-        return (at >= 0) & ((times < self.ends[np.maximum(at, 0)]) | (times == self.ends[-1]))
+        inside = (times < self.ends[np.maximum(at, 0)]) | (times == self.ends[-1])
+        return np.asarray((at >= 0) & inside, dtype=np.bool_)
 
     def intersect(self, other: Window) -> Window:
         """What both have in common."""

@@ -56,7 +56,7 @@ def compare(
     from linkrover.report.table import terminal
 
     console = Console()
-    console.print(terminal(regression_table(verdicts, stated=bool(stated))))
+    console.print(terminal(regression_table(verdicts, stated=bool(stated)), console.width))
     for verdict in failed:
         why = verdict.reason or "broken beyond noise"
         console.print(f"[bold red]limit {verdict.limit}: {why}[/]", highlight=False)

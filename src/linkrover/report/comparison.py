@@ -8,7 +8,7 @@ from linkrover.analysis.effects import METRICS, Effect, metric_value
 from linkrover.analysis.regression import Verdict
 from linkrover.analysis.summary import RunSummary
 
-from .table import Column, Table
+from .table import Better, Column, Table
 from .tables import CASE_WORDS
 
 FACTOR_WORDS = {"ap": "access point", "band": "band", "adapter": "adapter", "motion": "motion"}
@@ -27,7 +27,8 @@ def case_table(summaries: Sequence[RunSummary]) -> Table | None:
     columns = [Column("case"), Column("trials", 0)]
     for metric in METRICS:
         unit = "%" if metric.unit == "points" else metric.unit
-        columns += [Column(f"{metric.name} ({unit})", better="high" if metric.better == "high" else "low"), Column("±")]
+        better: Better = "high" if metric.better == "high" else "low"
+        columns += [Column(f"{metric.name} ({unit})", better=better), Column("±")]
     table = Table("Cases over their trials", tuple(columns), name="cases")
     for found in (cases[case] for case in sorted(cases, key=case_key)):
         row: list[str | float | int | None] = [case_label(found[0]), len(found)]
@@ -54,8 +55,8 @@ def case_label(summary: RunSummary) -> str:
 
 
 def effect_table(effects: Sequence[Effect]) -> Table | None:
-    """Every effect that could be estimated: size and interval first, then the test."""
-    known = [e for e in effects if e.estimate is not None]
+    """Every effect that can be judged: size and interval first, then the test."""
+    known = [e for e in effects if e.interval is not None]
     if not known:
         return None
     columns = (
@@ -70,9 +71,10 @@ def effect_table(effects: Sequence[Effect]) -> Table | None:
     )
     table = Table("What a factor does", columns, name="effects")
     for e in known:
-        interval = f"{amount(e, e.interval[0])} to {amount(e, e.interval[1])}" if e.interval else ""
+        assert e.interval is not None
+        interval = f"{amount(e, e.interval[0])} to {amount(e, e.interval[1])}"
         figure = f"{e.metric}{f', matched by {e.matched}' if e.matched else ''}"
-        verdict = "supported" if e.supported else "not supported" if e.interval else "cannot be judged"
+        verdict = "supported" if e.supported else "not supported"
         table.rows.append(
             [
                 contrast(e),

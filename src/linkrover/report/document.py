@@ -152,4 +152,4 @@ def print_document(document: Document) -> None:
         for sentence in section.words:
             console.print(f"  {escape(sentence)}", highlight=False)
         for table in section.tables:
-            console.print(terminal(table))
+            console.print(terminal(table, console.width))

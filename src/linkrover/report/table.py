@@ -20,6 +20,7 @@ class Column:
     decimals: int = 1
     better: Better | None = None
     truncate: bool = False  # the paper printed truncated, not rounded
+    short: str = ""  # heading on a terminal, where there is little room
 
 
 @dataclass(slots=True)
@@ -118,21 +119,40 @@ def comma_separated(table: Table) -> str:
     return out.getvalue()
 
 
-def terminal(table: Table) -> object:
-    """A rich table, best values in bold green."""
+def terminal(table: Table, width: int = 100) -> object:
+    """A rich table of at most `width` characters, best values in bold green; where it is too wide, spreads go first."""
+    from rich.box import SIMPLE_HEAD
     from rich.markup import escape
     from rich.table import Table as RichTable
 
     best = table.best()
-    out = RichTable(title=table.title, title_justify="left", caption="\n".join(table.notes) or None)
+    texts = [[table.text(i, j) for j in range(len(table.columns))] for i in range(len(table.rows))]
+    heads = [(column.short or column.heading).strip() for column in table.columns]
+    numeric = [any(isinstance(row[j], (int, float)) for row in table.rows) for j in range(len(heads))]
+    least = [_least_width(heads[j], [row[j] for row in texts], wrap=not numeric[j]) for j in range(len(heads))]
+    shown = list(range(len(heads)))
+    for j in range(len(heads) - 1, 0, -1):
+        if sum(least[k] + 2 for k in shown) + 2 <= width:
+            break
+        if heads[j] in ("std", "±"):
+            shown.remove(j)
+    left_out = len(shown) < len(heads)
+    notes = [*table.notes, *(["The terminal is too narrow for the spreads; --format md has them."] if left_out else [])]
+    out = RichTable(title=escape(table.title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    out.caption = "\n".join(escape(note) for note in notes) or None
     out.caption_justify = "left"
-    for j, column in enumerate(table.columns):
-        numeric = any(isinstance(row[j], (int, float)) for row in table.rows)
-        out.add_column(column.heading, justify="right" if numeric else "left")
-    for i in range(len(table.rows)):
-        cells = [escape(table.text(i, j)) for j in range(len(table.columns))]
-        out.add_row(*(f"[bold green]{c}[/]" if (i, j) in best else c for j, c in enumerate(cells)))
+    for j in shown:
+        out.add_column(escape(heads[j]), justify="right" if numeric[j] else "left", min_width=least[j], overflow="fold")
+    for i, row in enumerate(texts):
+        out.add_row(*(f"[bold green]{escape(row[j])}[/]" if (i, j) in best else escape(row[j]) for j in shown))
     return out
+
+
+def _least_width(heading: str, cells: list[str], *, wrap: bool) -> int:
+    """The narrowest a column may be: its longest word, at most 14; numbers are never broken."""
+    words = [word for text in ([heading, *cells] if wrap else [heading]) for word in text.split()]
+    longest = min(14, max((len(word) for word in words), default=1))
+    return longest if wrap else max(longest, *(len(cell) for cell in cells), 1)
 
 
 def _md(text: str) -> str:

@@ -120,16 +120,16 @@ def table_two(summaries: Sequence[RunSummary]) -> Table:
     paper = all(s.method == "pandey2022" for s in summaries)
     columns = (
         Column("case"),
-        Column("throughput mean (Mbit/s)", better="high", truncate=paper),
+        Column("throughput mean (Mbit/s)", short="Mbit/s", better="high", truncate=paper),
         Column("std", truncate=paper),
-        Column("delay mean (ms)", better="low", truncate=paper),
+        Column("delay mean (ms)", short="ms", better="low", truncate=paper),
         Column("std ", truncate=paper),
         Column("loss (%)", better="low", truncate=paper),
-        Column("RSSI robot (dBm)", better="high", truncate=paper),
+        Column("RSSI robot (dBm)", short="robot dBm", better="high", truncate=paper),
         Column("std  ", truncate=paper),
-        Column("RSSI station (dBm)", better="high", truncate=paper),
+        Column("RSSI station (dBm)", short="station dBm", better="high", truncate=paper),
         Column("std   ", truncate=paper),
-        Column("retransmits", 0, better="low"),
+        Column("retransmits", 0, short="retr.", better="low"),
     )
     table = Table("Table II: the whole drive", columns, name="table2")
     for summary in summaries:
@@ -171,11 +171,11 @@ def table_three(summaries: Sequence[RunSummary]) -> Table:
     paper = all(s.method == "pandey2022" for s in summaries)
     columns = (
         Column("case"),
-        Column("throughput still (Mbit/s)", better="high", truncate=paper),
+        Column("throughput still (Mbit/s)", short="Mbit/s", better="high", truncate=paper),
         Column("std", truncate=paper),
-        Column("delay still (ms)", better="low", truncate=paper),
+        Column("delay still (ms)", short="ms", better="low", truncate=paper),
         Column("std ", truncate=paper),
-        Column("share of time still (%)"),
+        Column("share of time still (%)", short="still %"),
     )
     table = Table("Table III: standing still", columns, name="table3")
     for summary in summaries:
