@@ -45,7 +45,7 @@ def run_job(job: str, share: Path, timeout_s: float) -> GuestRun:
         *("-cpu", "max", "-smp", "1", "-m", str(MEMORY_MB), "-nodefaults", "-no-user-config", "-no-reboot"),
         *("-display", "none", "-serial", f"file:{console}"),
         *("-kernel", str(kernel.vmlinux), "-initrd", str(kernel.initramfs)),
-        *("-append", "console=ttyS0 quiet panic=-1 mitigations=off tsc=reliable random.trust_cpu=on"),
+        *("-append", "console=ttyS0 quiet panic=-1 mitigations=off tsc=unstable clocksource=hpet random.trust_cpu=on"),
         *("-fsdev", "local,id=root,path=/,security_model=none,readonly=on,multidevs=remap"),
         *("-device", "virtio-9p-pci,fsdev=root,mount_tag=hostroot"),
         *("-fsdev", f"local,id=result,path={share},security_model=none"),

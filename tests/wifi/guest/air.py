@@ -18,7 +18,7 @@ from linkrover.sources.nl80211_events import RadioEvents
 
 MODULE = Path("/guest-modules/mac80211_hwsim.ko")
 DEBUG = Path("/sys/kernel/debug/ieee80211")
-CLONE_NEWNET = 0x40000000
+CLONE_NEWNET, CLONE_NEWNS = 0x40000000, 0x00020000
 PASSPHRASE = "a link of robots"
 FREQUENCIES = {1: 2412, 6: 2437, 11: 2462, 36: 5180, 40: 5200, 44: 5220, 48: 5240}
 
@@ -46,6 +46,17 @@ def inside(ns: str) -> Iterator[None]:
         _setns(home)
         os.close(there)
         os.close(home)
+
+
+def enter(ns: str) -> None:
+    """This whole process into a namespace, with the /sys of it, as `ip netns exec` does."""
+    there = os.open(f"/run/netns/{ns}", os.O_RDONLY)
+    _setns(there)
+    os.close(there)
+    if _libc.unshare(CLONE_NEWNS):
+        raise OSError(ctypes.get_errno(), "unshare")
+    for command in (("mount", "--make-rslave", "/"), ("umount", "-l", "/sys"), ("mount", "-t", "sysfs", ns, "/sys")):
+        subprocess.run(command, check=True)
 
 
 def _setns(fd: int) -> None:
