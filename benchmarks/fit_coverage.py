@@ -11,6 +11,7 @@ import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
+from itertools import pairwise
 
 REPEATS = 1000
 ACCESS_POINT_M = (-1.0, -0.8)
@@ -27,7 +28,7 @@ def drive():
 
     parts = []
     points = LAB_2021.waypoints
-    for a, b in zip(points, points[1:], strict=False):
+    for a, b in pairwise(points):
         count = max(1, round(math.dist((a.x_m, a.y_m), (b.x_m, b.y_m)) / 0.1))
         t = np.arange(count) / count
         parts.append(np.column_stack([a.x_m + (b.x_m - a.x_m) * t, a.y_m + (b.y_m - a.y_m) * t]))
@@ -42,7 +43,7 @@ def one(seed):
     import numpy as np
     from scipy.special import digamma
 
-    from linkrover.radio.fit_nakagami import fit_nakagami
+    from linkrover.radio.fit_nakagami import fit_nakagami, fit_nakagami_along
     from linkrover.radio.fit_path_loss import fit_path_loss
     from linkrover.radio.fit_position import fit_position
     from linkrover.radio.fit_throughput import fit_throughput, model_bps
@@ -66,7 +67,9 @@ def one(seed):
         note(name, getattr(line, name), truth)
     inside = fit_position(places, rssi).contains(*ACCESS_POINT_M)
     out["access point (region)"] = (inside, False, False)
-    note("nakagami_m", fit_nakagami(rng.gamma(M, 1 / M, 200)), M)
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(places, axis=0).T))])
+    note("nakagami_m (drive)", fit_nakagami_along(rssi, way), M)
+    note("nakagami_m (samples)", fit_nakagami(rng.gamma(M, 1 / M, 200)), M)
     level = rng.uniform(-85, -45, 200)
     rate = model_bps(level, SHARE["alpha_b_hz"], SHARE["noise_dbm"], SHARE["cap_bps"]) + rng.normal(0, 1.2e6, 200)
     share = fit_throughput(level, rate)
@@ -84,9 +87,8 @@ def main() -> None:
             results.append(result)
             if index % 50 == 0 and sys.stderr.isatty():
                 print(f"\r{index} of {repeats}", end="", file=sys.stderr)
-    print(
-        f"coverage of 95 % intervals, {repeats} repeats (its own standard error: {100 * math.sqrt(0.05 * 0.95 / repeats):.1f} points)"
-    )
+    own = 100 * math.sqrt(0.05 * 0.95 / repeats)
+    print(f"coverage of 95 % intervals, {repeats} repeats (its own standard error: {own:.1f} points)")
     print(f"{'parameter':24} {'inside %':>9} {'truth below %':>14} {'truth above %':>14}")
     for name in results[0]:
         inside, below, above = (100 * sum(result[name][i] for result in results) / repeats for i in range(3))

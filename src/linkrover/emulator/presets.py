@@ -10,7 +10,7 @@ from __future__ import annotations
 import msgspec
 
 from linkrover.errors import ConfigError
-from linkrover.radio.path_loss import LogDistance
+from linkrover.radio.presets import preset
 
 from .association import AssociationConfig
 from .channel import Channel, ChannelConfig
@@ -92,13 +92,15 @@ SITE = 29
 it has the mean RSSI along the route nearest to the recordings; its standard deviation is that of the fit."""
 
 
-def _channel(rss_1m: float, exponent: float, sigma: float, m: float, mhz: float) -> ChannelConfig:
+def _channel(name: str) -> ChannelConfig:
+    """Channel of a radio preset in the one building all cases were driven in."""
+    radio = preset(name)
     return ChannelConfig(
-        path_loss=LogDistance(rss_1m_dbm=rss_1m, exponent=exponent),
-        frequency_mhz=mhz,
-        sigma_db=sigma,
-        decorrelation_m=3.0,
-        nakagami_m=m,
+        path_loss=radio.path_loss,
+        frequency_mhz=radio.frequency_mhz,
+        sigma_db=radio.sigma_db,
+        decorrelation_m=radio.decorrelation_m,
+        nakagami_m=radio.nakagami_m,
         site=SITE,
     )
 
@@ -118,7 +120,7 @@ CASES: tuple[Case, ...] = (
         number=1,
         access_point="router",
         adapter="router",
-        channel=_channel(-38.0, 2.54, 4.2, 5.0, 2437.0),
+        channel=_channel("router-2.4"),
         medium=MediumConfig(band_ghz=2.4, noise_dbm=-90.0, others_share=0.54),
         nodes=_buffer(40),
         places=ROUTER_PLACES,
@@ -129,7 +131,7 @@ CASES: tuple[Case, ...] = (
         number=2,
         access_point="router",
         adapter="router",
-        channel=_channel(-38.0, 2.54, 4.2, 5.0, 5180.0),
+        channel=_channel("router-5"),
         medium=MediumConfig(band_ghz=5.0, width_mhz=80, max_mcs=9, noise_dbm=-86.5, others_share=0.25),
         nodes=_buffer(256),
         places=ROUTER_PLACES,
@@ -140,7 +142,7 @@ CASES: tuple[Case, ...] = (
         number=3,
         access_point="robot",
         adapter="internal",
-        channel=_channel(-46.5, 2.61, 6.4, 1.8, 2437.0),
+        channel=_channel("internal-2.4"),
         medium=MediumConfig(band_ghz=2.4, noise_dbm=-85.5, others_share=0.4),
         nodes=_buffer(90),
         places=DIRECT_PLACES,
@@ -151,7 +153,7 @@ CASES: tuple[Case, ...] = (
         number=4,
         access_point="robot",
         adapter="internal",
-        channel=_channel(-45.5, 2.8, 7.2, 1.8, 5180.0),
+        channel=_channel("internal-5"),
         medium=MediumConfig(band_ghz=5.0, noise_dbm=-86.0, others_share=0.33),
         nodes=_buffer(90),
         places=DIRECT_PLACES,
@@ -162,7 +164,7 @@ CASES: tuple[Case, ...] = (
         number=5,
         access_point="station",
         adapter="internal",
-        channel=_channel(-46.5, 2.61, 6.4, 1.8, 2437.0),
+        channel=_channel("internal-2.4"),
         medium=MediumConfig(band_ghz=2.4, noise_dbm=-95.0, others_share=0.69),
         nodes=_buffer(64),
         places=DIRECT_PLACES,
@@ -173,7 +175,7 @@ CASES: tuple[Case, ...] = (
         number=6,
         access_point="station",
         adapter="internal",
-        channel=_channel(-45.5, 2.8, 7.2, 1.8, 5180.0),
+        channel=_channel("internal-5"),
         medium=MediumConfig(band_ghz=5.0, noise_dbm=-95.5, others_share=0.62),
         nodes=_buffer(80),
         places=DIRECT_PLACES,
@@ -184,7 +186,7 @@ CASES: tuple[Case, ...] = (
         number=7,
         access_point="robot",
         adapter="external",
-        channel=_channel(-29.0, 3.05, 3.5, 3.0, 2437.0),
+        channel=_channel("external-2.4-robot"),
         medium=MediumConfig(
             band_ghz=2.4,
             width_mhz=40,
@@ -202,7 +204,7 @@ CASES: tuple[Case, ...] = (
         number=8,
         access_point="robot",
         adapter="external",
-        channel=_channel(-30.3, 3.70, 4.8, 3.0, 5180.0),
+        channel=_channel("external-5"),
         medium=MediumConfig(band_ghz=5.0, width_mhz=80, max_mcs=9, noise_dbm=-86.5, others_share=0.25),
         nodes=_buffer(256),
         places=DIRECT_PLACES,
@@ -213,7 +215,7 @@ CASES: tuple[Case, ...] = (
         number=9,
         access_point="station",
         adapter="external",
-        channel=_channel(-32.0, 2.52, 3.5, 3.0, 2437.0),
+        channel=_channel("external-2.4-station"),
         medium=MediumConfig(
             band_ghz=2.4,
             width_mhz=40,
@@ -231,7 +233,7 @@ CASES: tuple[Case, ...] = (
         number=10,
         access_point="station",
         adapter="external",
-        channel=_channel(-30.3, 3.70, 4.8, 3.0, 5180.0),
+        channel=_channel("external-5"),
         medium=MediumConfig(band_ghz=5.0, width_mhz=80, max_mcs=9, noise_dbm=-86.5, others_share=0.3),
         nodes=_buffer(320),
         places=DIRECT_PLACES,

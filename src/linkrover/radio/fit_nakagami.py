@@ -10,7 +10,6 @@ import numpy as np
 from linkrover.errors import ConfigError
 
 from .estimate import Estimate, FitError
-from .values import require_positive
 
 if TYPE_CHECKING:
     from .values import Array
@@ -21,7 +20,7 @@ M_LOW, M_HIGH = 0.5, 200.0
 def fit_nakagami(power: Array, *, independent: float | None = None) -> Estimate:
     """Most likely m of Nakagami-m fading, that is the shape of a gamma distribution of the power.
 
-    power: received power in any linear unit (mW), with its local mean taken out (see local_ratio) or constant.
+    power: received power in any linear unit (mW) at a constant mean; along a drive use fit_nakagami_along.
     independent: how many independent samples these are worth, None = all of them. The interval is the profile
     likelihood's with the F limit, and wider where samples are correlated by that much.
 
@@ -74,31 +73,83 @@ def fit_nakagami(power: Array, *, independent: float | None = None) -> Estimate:
     )
 
 
-def local_ratio(rssi_dbm: Array, along_m: Array, window_m: float = 1.5) -> tuple[Array, float]:
-    """(power over its local mean, how many independent samples it is worth), from RSSI along a drive.
+LAG_LOW_M, LAG_HIGH_M = 0.1, 0.6
+BLOCKS = 12
+ROUNDING_DB2 = 1.0 / 12.0  # drivers give whole dBm
+DB_PER_NEPER = 10.0 / math.log(10.0)
 
-    The local mean is taken over window_m (some ten wavelengths) of driven way, which leaves the shadowing in it.
-    Samples taken standing still are left out: they repeat one place. The worth counts one sample each half wavelength
-    at 2.4 GHz (6 cm), and one less in each window, whose mean is fitted.
+
+def fit_nakagami_along(rssi_dbm: Array, along_m: Array) -> Estimate:
+    """M from RSSI along a drive, with the shadowing kept out of it.
+
+    Half the mean squared difference of two readings grows with the way between them: multipath is there after half a
+    wavelength, shadowing comes in proportion to the way. The straight line over 0.1 to 0.6 m, drawn back to zero, is
+    the variance of multipath alone, (10 / ln 10)^2 trigamma(m), and the driver's rounding. Interval: jackknife over
+    12 stretches of the drive. Readings while standing still are left out.
 
     Raises:
-        ConfigError: window_m is not above 0.
-        FitError: no window holds five samples.
+        FitError: less than 10 m driven, or readings too far apart.
     """
-    require_positive("fit", window_m=window_m)
-    power = 10.0 ** (np.asarray(rssi_dbm, float) / 10.0)
-    along = np.asarray(along_m, float)
+    from scipy.stats import t as student
+
+    rssi, along = np.asarray(rssi_dbm, float), np.asarray(along_m, float)
     moving = np.concatenate([[True], np.diff(along) > 1e-3])
-    power, along = power[moving], along[moving]
-    cell = np.floor(along / window_m).astype(int)
-    ratios: list[Array] = []
-    worth = 0.0
-    for each in np.unique(cell):
-        part = power[cell == each]
-        if part.size < 5:
-            continue
-        ratios.append(part / part.mean())
-        worth += max(0.0, min(part.size, window_m / 0.06) - 1)
-    if not ratios:
-        raise FitError(f"no stretch of {window_m} m holds five samples: sample faster or drive slower")
-    return np.concatenate(ratios), worth
+    rssi, along = rssi[moving], along[moving]
+    if not along.size or along[-1] - along[0] < 10.0:
+        raise FitError("less than 10 m driven with readings: too little for multipath")
+    ways, squares, blocks = [], [], []
+    edges = np.linspace(along[0], along[-1], BLOCKS + 1)
+    for step in range(1, along.size):
+        way = along[step:] - along[:-step]
+        if float(way.min()) > LAG_HIGH_M:
+            break
+        use = (way >= LAG_LOW_M) & (way <= LAG_HIGH_M)
+        ways.append(way[use])
+        squares.append(0.5 * (rssi[step:] - rssi[:-step])[use] ** 2)
+        blocks.append(np.clip(np.searchsorted(edges, along[:-step][use], side="right") - 1, 0, BLOCKS - 1))
+    way, square, block = np.concatenate(ways), np.concatenate(squares), np.concatenate(blocks)
+    if way.size < 200 or np.unique(block).size < BLOCKS // 2:
+        raise FitError("readings are too far apart for multipath: sample at 10 Hz or more, or drive slower")
+    sums = np.array(
+        [np.bincount(block, weights, BLOCKS) for weights in (np.ones_like(way), way, way**2, square, way * square)]
+    )
+    full = _multipath_variance(sums.sum(axis=1))
+    if full is None:
+        raise FitError("no multipath shows: readings vary less than their rounding")
+    parts = [_multipath_variance(sums.sum(axis=1) - sums[:, index]) for index in range(BLOCKS)]
+    if any(part is None for part in parts):
+        raise FitError("multipath is too weak against the rounding to bound m")
+    logs = np.log(np.array(parts, float))
+    error = math.sqrt((BLOCKS - 1) / BLOCKS * float(((logs - logs.mean()) ** 2).sum()))
+    width = float(student.ppf(0.975, BLOCKS - 1)) * error
+    centre = math.log(full)
+    low, middle, high = (_m_of_variance(math.exp(centre + sign * width)) for sign in (1, 0, -1))
+    weak = high >= M_HIGH
+    return Estimate(
+        value=middle,
+        low=low,
+        high=None if weak else high,
+        unit="1",
+        identifiable=not weak,
+        note="fading too weak to bound m above" if weak else "",
+    )
+
+
+def _multipath_variance(sums: Array) -> float | None:
+    count, x, xx, y, xy = (float(each) for each in sums)
+    slope = (count * xy - x * y) / (count * xx - x * x)
+    variance = (y - slope * x) / count - ROUNDING_DB2
+    return variance if variance > 0 else None
+
+
+def _m_of_variance(variance_db2: float) -> float:
+    """The m whose power in dB has this variance."""
+    from scipy.optimize import brentq
+    from scipy.special import polygamma
+
+    target = variance_db2 / DB_PER_NEPER**2
+    if float(polygamma(1, 0.1)) < target:
+        return 0.1
+    if float(polygamma(1, M_HIGH)) > target:
+        return M_HIGH
+    return float(brentq(lambda m: float(polygamma(1, m)) - target, 0.1, M_HIGH))
