@@ -146,3 +146,15 @@ def test_an_interface_going_down_and_an_address_changing_do_not_end_the_measurem
         assert summary["answered"] > 20
         assert document["reflector"]["restarts"] == 1, "from the new address it is a new session"
         assert summary["sent"] + summary["not_sent"] + document["sender"]["missed_slots"] == 150
+
+
+@needs_namespaces
+@pytest.mark.netns
+def test_a_link_local_ipv6_peer_is_reached_by_its_zone():
+    with two_hosts() as (robot, station, ip):
+        for name, address in ((robot, "fe80::76/64"), (station, "fe80::77/64")):
+            ip("-n", name, "address", "add", address, "dev", "v0", "nodad")
+        with reflecting(prefix=("ip", "netns", "exec", station)) as (_, port):
+            done = probe(f"[fe80::77%v0]:{port}", "--count", "3", prefix=("ip", "netns", "exec", robot))
+            assert done.returncode == 0, done.stderr
+            assert "sent 3, answered 3" in done.stdout

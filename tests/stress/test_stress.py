@@ -84,7 +84,7 @@ def test_every_phase_gives_throughput_both_ways_and_probes(server, name, monkeyp
     client = client_of(server)
     client.connect()
     seen = []
-    report = client.run(load.profile(name), seconds=1.0, on_phase=seen.append)
+    report = client.run(load.profile(name), seconds=0.7, on_phase=seen.append)
     client.close()
     assert seen == ["idle", "up", "down", "both"]
     idle, up, down, both = report.phases
@@ -103,7 +103,7 @@ def test_every_phase_gives_throughput_both_ways_and_probes(server, name, monkeyp
         for lost in (up.up_lost, down.down_lost, both.up_lost, both.down_lost):
             assert lost < 0.1
     if name == "camera":
-        assert up.frames_sent + up.frames_dropped == pytest.approx(30, abs=2)
+        assert up.frames_sent + up.frames_dropped == pytest.approx(21, abs=2)
     assert up.buffer_delay is not None
     assert report.probe_overhead_bps == 50 * 72 * 8
     assert server.counters.phases == 3
@@ -363,6 +363,32 @@ def narrow_link():
 
 
 @pytest.mark.netns
+@pytest.mark.skipif(not HAS_NAMESPACES, reason="needs root and iproute2 (ip, tc) to make a link")
+def test_a_link_local_ipv6_peer_can_be_loaded_by_udp(tmp_path):
+    linkrover = (sys.executable, "-m", "linkrover")
+    (tmp_path / "token").write_bytes(TOKEN)
+    with narrow_link() as (robot, station):
+        run(*robot, "ip", "address", "add", "fe80::76/64", "dev", "v0", "nodad", check=True)
+        run(*station, "ip", "address", "add", "fe80::77/64", "dev", "v0", "nodad", check=True)
+        reflector = subprocess.Popen(
+            [*station, *linkrover, "reflect", "--stress-token-file", str(tmp_path / "token")],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            reflector.stdout.readline()
+            done = run(*robot, *linkrover, "stress", "fe80::77%v0", "--profile", "udp", "--rate", "2", "--seconds", "1",
+                       "--json", "--phase", "both", "--token-file", str(tmp_path / "token"))  # fmt: skip
+            assert done.returncode == 0, done.stderr
+            [both] = json.loads(done.stdout)["phases"]
+            assert both["up_lost"] < 0.2
+            assert both["down_lost"] < 0.2
+        finally:
+            reflector.terminate()
+            reflector.communicate(timeout=20)
+
+
+@pytest.mark.netns
 @pytest.mark.skipif(not HAS_NAMESPACES, reason="needs root and iproute2 (ip, tc) to make a narrow link")
 def test_the_command_sees_the_queue_of_a_narrow_link_fill_in_one_direction_only():
     linkrover = (sys.executable, "-m", "linkrover")
@@ -374,7 +400,7 @@ def test_the_command_sees_the_queue_of_a_narrow_link_fill_in_one_direction_only(
         try:
             token = reflector.stderr.readline().rpartition("token: ")[2].strip()
             environment = {**os.environ, "LINKROVER_STRESS_TOKEN": token}
-            done = run(*robot, *linkrover, "stress", "10.79.0.2", "--profile", "udp", "--rate", "12", "--seconds", "2",
+            done = run(*robot, *linkrover, "stress", "10.79.0.2", "--profile", "udp", "--rate", "12", "--seconds", "1.5",
                        "--json", "--phase", "idle", "--phase", "up", "--phase", "down", env=environment)  # fmt: skip
             assert done.returncode == 0, done.stderr
             idle, up, down = json.loads(done.stdout)["phases"]

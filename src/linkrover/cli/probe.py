@@ -79,7 +79,7 @@ def probe(
     run = _Run(rate, quiet=quiet or json)
     sender = StampSender(
         loop,
-        str(endpoint.address[0]),
+        endpoint.host,
         endpoint.address[1],
         on_result=run.take,
         period_ns=round(1e9 / rate),

@@ -33,7 +33,7 @@ from .rtnetlink import Owned, Route, RouteTables, shared_networks
 DISCOVERY = "239.255.0.1"
 PROBES, PROBE_PERIOD_NS = 40, 50_000_000
 LARGE_OCTETS, LARGE_PROBES = 9_000, 5
-STRESS_SECONDS = 3.0
+STRESS_SECONDS = 2.0
 _T = TypeVar("_T")
 
 
@@ -81,7 +81,7 @@ class Examination:
     @property
     def _address(self) -> str:
         assert self._endpoint is not None
-        return str(self._endpoint.address[0])
+        return self._endpoint.host
 
     def checks(self) -> list[Check]:
         """All of them, in the order of a page."""

@@ -25,6 +25,14 @@ class Endpoint(msgspec.Struct, frozen=True):
         host, port = self.address[:2]
         return f"[{host}]:{port}" if self.family == socket.AF_INET6 else f"{host}:{port}"
 
+    @property
+    def host(self) -> str:
+        """The address alone, with its zone (`fe80::1%wlan0`) where it has one."""
+        host = self.address[0]
+        if len(self.address) == 4 and self.address[3] and "%" not in host:
+            return f"{host}%{socket.if_indextoname(self.address[3])}"
+        return host
+
     def is_from(self, address: tuple[str, int] | tuple[str, int, int, int]) -> bool:
         """Whether a packet from `address` is this peer's (flow label and scope left aside)."""
         return address[:2] == (self.address[0].split("%")[0], self.address[1]) or address[:2] == self.address[:2]

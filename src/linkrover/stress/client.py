@@ -14,6 +14,7 @@ import msgspec
 from linkrover import __version__
 from linkrover.errors import ConfigError, ParseError
 from linkrover.loop import Loop
+from linkrover.probe.address import Endpoint, resolve
 from linkrover.probe.sender import StampSender
 from linkrover.probe.summary import ProbeSummary, summarise
 from linkrover.records import ProbeResult
@@ -121,7 +122,7 @@ class StressClient:
         """Shake hands; after it the peer has consented and has proved that it holds the token."""
         line = self._dial()
         self._line = line
-        self.address = str(line.sock.getpeername()[0])
+        self.address = Endpoint(int(line.sock.family), line.sock.getpeername()).host
         hello = self._expect(line, Hello)
         if hello.protocol != PROTOCOL:
             raise StressError(
@@ -262,10 +263,10 @@ class StressClient:
     ) -> socket.socket:
         assert self._consent is not None
         mark = load.phase_mark(bytes.fromhex(self._consent.session), phase)
-        to = (self.address, self._consent.udp_port)
+        to = resolve(self.address, self._consent.udp_port).address
         udp = socket.socket(socket.AF_INET6 if ":" in self.address else socket.AF_INET, socket.SOCK_DGRAM)
         if down:
-            receivers.append(load.udp_receiver(udp, self.address, mark, seconds))
+            receivers.append(load.udp_receiver(udp, self.address.partition("%")[0], mark, seconds))
             for _ in range(3):  # tells the peer's UDP port where to send; one may be lost
                 udp.sendto(mark, to)
         if up:

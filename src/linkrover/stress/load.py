@@ -208,7 +208,9 @@ def phase_mark(session: bytes, phase: int) -> bytes:
     return session + phase.to_bytes(4, "big")
 
 
-def udp_sender(sock: socket.socket, to: tuple[str, int], mark: bytes, kind: Profile, seconds: float) -> Worker:
+def udp_sender(
+    sock: socket.socket, to: tuple[str, int] | tuple[str, int, int, int], mark: bytes, kind: Profile, seconds: float
+) -> Worker:
     """Send datagrams at the profile's rate for `seconds`. The socket stays open."""
 
     def work(tally: Tally, stop: threading.Event) -> None:

@@ -184,7 +184,7 @@ class StressServer:
             line.send(Refusal(reason=refusal))
             return False
         try:
-            session = _Session(line.sock.getsockname()[0], source, line.sock.family)
+            session = _Session(line.sock, source)
         except OSError as error:
             line.send(Refusal(reason=f"no UDP socket: {error.strerror}"))
             return False
@@ -266,11 +266,16 @@ class StressServer:
 class _Session:
     """One client's stay: its secret, its UDP socket, the load threads of the present phase."""
 
-    def __init__(self, local: str, source: str, family: int) -> None:
+    def __init__(self, control: socket.socket, source: str) -> None:
         self.secret = secrets.token_bytes(SESSION_BYTES)
         self.source = source
-        self.udp = socket.socket(family, socket.SOCK_DGRAM)
-        self.udp.bind((local, 0))
+        self.udp = socket.socket(control.family, socket.SOCK_DGRAM)
+        try:
+            host, _, *zone = control.getsockname()
+            self.udp.bind((host, 0, *zone))
+        except OSError:
+            self.udp.close()
+            raise
         self.phase = 0
         self._request: Load | None = None
         self._kind = load.PROFILES["bulk"]
