@@ -54,6 +54,7 @@ def agent(
     emulated: Annotated[bool, Parameter(negative=(), show=False)] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
     plain: Annotated[bool, Parameter(negative=())] = False,
+    metrics: str | None = None,
 ) -> int:
     """Measure at this end of the link: signal, traffic, errors, and the delay to the peer. Records it if asked.
 
@@ -127,6 +128,8 @@ def agent(
         Print every record as a line of JSON instead of the view.
     plain
         Log lines even on a terminal.
+    metrics
+        Answer Prometheus on this PORT of loopback, or on HOST:PORT; needs the "live" extra.
     """
     from linkrover.agent import Agent
 
@@ -167,6 +170,11 @@ def agent(
 
         return serve(settings, load_key(control), DEFAULT_PORT if control_port is None else control_port)
     measuring = Agent(settings)
+    if metrics is not None:
+        from linkrover.live.metrics import Metrics, parse_address
+
+        host, at = parse_address(metrics)
+        measuring.add_sink(Metrics(at, host, role=settings.role.value))
     return _run(measuring, settings, json=json, plain=plain)
 
 
