@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from linkrover.bag import Recorder
 from linkrover.records import (
     ClockOffset,
@@ -77,9 +79,11 @@ def record_run(
                         Pose(**at, x_m=x, y_m=0.0, heading_rad=0.0, forward_m_per_s=speed, turn_rad_per_s=0.0)
                     )
                 if probe:
-                    recorder.take(
-                        probe_result(at, tenth, rtt_ms, lost=out[0] <= t < out[1], offset_ns=station_offset_ns)
-                    )
+                    lost = out[0] <= t < out[1]
+                    result = probe_result(at, tenth, rtt_ms, lost=lost, offset_ns=station_offset_ns)
+                    if lost:  # as an agent does: superseded when the direction becomes known
+                        recorder.take(msgspec.structs.replace(result, state=ProbeState.LOST))
+                    recorder.take(result)
     return folder
 
 

@@ -56,6 +56,9 @@ FIELDS: dict[str, tuple[str, ...]] = {
     ),
     "StationLink": ("peer", "rssi_dbm", "inactive_ms"),
     "ProbeResult": (
+        "peer",
+        "session",
+        "sequence",
         "state",
         "rtt_ns",
         "t1_ns",

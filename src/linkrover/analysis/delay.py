@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 OUTAGE_THRESHOLD_S = 1.0
 PROBE_DEADLINE_S = 2.0
-LOST_STATES = ("lost", "lost forward", "lost back", "late")
 
 
 class OneWay(msgspec.Struct, frozen=True, kw_only=True):
@@ -138,16 +137,12 @@ def _stamp(end: End) -> Probes | None:
 
     table = end.probe
     assert table is not None
-    state = table["state"]
-    sent = state != "not sent"
-    if not sent.any():
-        return None
-    table = {name: column[sent] for name, column in table.items()}
-    answered = table["state"] == "answered"
+    state = table["state"]  # whatever is not "answered" had no answer in time: lost, late, or refused by the stack
+    answered = state == "answered"
     delay = np.where(answered, table["rtt_ns"] / 1e6, np.nan)
     deadline = np.full(len(delay), PROBE_DEADLINE_S * 1e3)
     known = table["t_s"] + np.where(answered, np.nan_to_num(delay), deadline) / 1e3
-    return Probes("stamp", table["t_s"], delay, deadline, known, serial=False, state=table["state"], table=table)
+    return Probes("stamp", table["t_s"], delay, deadline, known, serial=False, state=state, table=table)
 
 
 def application_probes(end: End, method: str, serial: bool = False) -> Probes:
@@ -285,11 +280,11 @@ def _directions(part: Probes, run: Run, reasons: list[str]) -> dict[str, object]
         "duplicates": int(np.nansum(part.table["duplicates"])),
         "reordered": int(np.nansum(part.table["reordered"])),
     }
-    if (part.state == "lost").any() or (part.state == "late").any():
-        reasons.append("loss_forward_percent, loss_back_percent: the direction of some losses is not known")
-    else:
-        out["loss_forward_percent"] = 100.0 * float((part.state == "lost forward").sum()) / sent
-        out["loss_back_percent"] = 100.0 * float((part.state == "lost back").sum()) / sent
+    forward, back = (int((part.state == word).sum()) for word in ("lost forward", "lost back"))
+    unknown = int(np.isin(part.state, ("lost", "late")).sum())
+    out["loss_forward_percent"], out["loss_back_percent"] = 100.0 * forward / sent, 100.0 * back / sent
+    if unknown:
+        reasons.append(f"the direction of {unknown} losses is not known; they are in neither direction's share")
     robot_sends = run.robot is not None and run.robot.probe is not None
     offset = _offset(part, run.robot if robot_sends else run.station)
     if offset is None:

@@ -311,6 +311,7 @@ def _end(role: str, raw: RawEnd, clock: _Clock, origin: int) -> End:
     end.errors = by_iface("NetworkErrors")
     end.wireless = _wireless(by_iface("WirelessLink"), by_iface("StationLink"))
     end.probe, end.offset, end.account = single("ProbeResult"), single("ClockOffset"), single("SelfAccount")
+    end.probe = _one_fate(end.probe)
     end.pose, end.command = single("Pose"), single("VelocityCommand")
     end.delays = by_iface("NetworkDelay")
     if end.probe is not None:
@@ -321,6 +322,31 @@ def _end(role: str, raw: RawEnd, clock: _Clock, origin: int) -> End:
     end.events = tuple(sorted(((_event_time(e, clock, origin), e) for e in raw.events), key=lambda pair: pair[0]))
     end.alive = _alive([*end.utilization.values(), *end.errors.values(), *end.wireless.values()])
     return end
+
+
+def _one_fate(probes: Columns | None) -> Columns | None:
+    """Each probe once, by its last record: a loss is reported again when its direction is known.
+
+    Of several peers the one with most probes: delays to two stations are two links.
+    """
+    import numpy as np
+
+    if probes is None:
+        return None
+    peers = probes.pop("peer").tolist()
+    names = set(peers)
+    if len(names) > 1:
+        most = max(names, key=peers.count)
+        kept = np.array([p == most for p in peers])
+        probes = {name: column[kept] for name, column in probes.items()}
+    session, sequence = probes.pop("session"), probes.pop("sequence")
+    order = np.lexsort((np.arange(len(session)), sequence, session))
+    last = np.ones(len(order), bool)
+    last[:-1] = (np.diff(session[order]) != 0) | (np.diff(sequence[order]) != 0)
+    if last.all():
+        return probes
+    rows = np.sort(order[last])
+    return {name: column[rows] for name, column in probes.items()}
 
 
 def _event_time(event: LinkEvent, clock: _Clock, origin: int) -> float:
