@@ -87,13 +87,13 @@ def _throughput(run: Run, times: Array, rssi: Array) -> tuple[Array, Array]:
         if end is None or end.primary is None or end.primary not in end.utilization:
             continue
         table = end.utilization[end.primary]
-        rate = np.asarray(table["rx_rate_bps"], float) + np.asarray(table["tx_rate_bps"], float)
-        stop = np.asarray(table["t_s"], float)
-        start = stop - np.asarray(table["interval_ns"], float) / 1e9
+        good = np.asarray(table["has_base"], bool)
+        start, stop = np.asarray(table["begin_s"], float)[good], np.asarray(table["t_s"], float)[good]
+        rate = np.asarray(table["bits"], float)[good] / np.maximum(stop - start, 1e-6)
         low, high = np.searchsorted(times, start), np.searchsorted(times, stop)
         total = np.concatenate([[0.0], np.cumsum(rssi)])
-        good = np.isfinite(rate) & np.isfinite(start) & (high > low)
-        return (total[high[good]] - total[low[good]]) / (high[good] - low[good]), rate[good]
+        heard = np.isfinite(rate) & (high > low)
+        return (total[high[heard]] - total[low[heard]]) / (high[heard] - low[heard]), rate[heard]
     return np.empty(0), np.empty(0)
 
 

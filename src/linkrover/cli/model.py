@@ -17,8 +17,7 @@ Flag = Parameter(negative=())
 
 @app.command
 def fit(
-    runs: Annotated[tuple[Path, ...], Parameter(name="RUN")],
-    *,
+    *runs: Path,
     access_point: Annotated[tuple[float, float] | None, Parameter(name="--access-point")] = None,
     end: str | None = None,
     together: Annotated[bool, Flag] = False,
