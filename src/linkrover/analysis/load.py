@@ -313,7 +313,8 @@ def _end(role: str, raw: RawEnd, clock: _Clock, origin: int) -> End:
     end.probe, end.offset, end.account = single("ProbeResult"), single("ClockOffset"), single("SelfAccount")
     end.probe = _one_fate(end.probe)
     end.pose, end.command = single("Pose"), single("VelocityCommand")
-    end.delays = by_iface("NetworkDelay")
+    # an answer after the deadline is recorded under "METHOD late" beside the loss it does not undo
+    end.delays = {method: table for method, table in by_iface("NetworkDelay").items() if not method.endswith(" late")}
     if end.probe is not None:
         end.delays.pop("stamp", None)  # the probe's own results in short
     end.traffic = {
