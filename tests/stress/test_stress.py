@@ -84,7 +84,7 @@ def test_every_phase_gives_throughput_both_ways_and_probes(server, name, monkeyp
     client = client_of(server)
     client.connect()
     seen = []
-    report = client.run(load.profile(name), seconds=0.7, on_phase=seen.append)
+    report = client.run(load.profile(name), seconds=0.5, on_phase=seen.append)
     client.close()
     assert seen == ["idle", "up", "down", "both"]
     idle, up, down, both = report.phases
@@ -103,7 +103,7 @@ def test_every_phase_gives_throughput_both_ways_and_probes(server, name, monkeyp
         for lost in (up.up_lost, down.down_lost, both.up_lost, both.down_lost):
             assert lost < 0.1
     if name == "camera":
-        assert up.frames_sent + up.frames_dropped == pytest.approx(21, abs=2)
+        assert up.frames_sent + up.frames_dropped == pytest.approx(15, abs=2)
     assert up.buffer_delay is not None
     assert report.probe_overhead_bps == 50 * 72 * 8
     assert server.counters.phases == 3
@@ -400,8 +400,8 @@ def test_the_command_sees_the_queue_of_a_narrow_link_fill_in_one_direction_only(
         try:
             token = reflector.stderr.readline().rpartition("token: ")[2].strip()
             environment = {**os.environ, "LINKROVER_STRESS_TOKEN": token}
-            done = run(*robot, *linkrover, "stress", "10.79.0.2", "--profile", "udp", "--rate", "12", "--seconds", "1.5",
-                       "--json", "--phase", "idle", "--phase", "up", "--phase", "down", env=environment)  # fmt: skip
+            done = run(*robot, *linkrover, "stress", "10.79.0.2", "--profile", "udp", "--rate", "12", "--json",
+                       "--seconds", "1.5", "--phase", "idle", "--phase", "up", "--phase", "down", env=environment)  # fmt: skip
             assert done.returncode == 0, done.stderr
             idle, up, down = json.loads(done.stdout)["phases"]
             assert idle["probes"]["rtt"]["median_ns"] < 20e6

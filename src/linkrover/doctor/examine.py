@@ -233,10 +233,7 @@ class Examination:
             Check("peer", lambda: path.answers(self._probes, peer, hint)),
             Check("large messages", self._large),
             Check("clock offset", lambda: path.offset(self._probes.offset, peer)),
-            Check(
-                "peer's version",
-                lambda: path.version(__version__, ask_version(self._address, port, key=self._key), peer),
-            ),
+            Check("peer's version", self._version),
             Check("buffer delay", self._bufferbloat),
         ]
 
@@ -262,6 +259,12 @@ class Examination:
             n for n in names if max(everywhere, self._machine.sysctl(f"net.ipv4.conf.{n}.rp_filter") or "0") == "1"
         ]
         return network.asymmetry(target, cases, strict)
+
+    def _version(self) -> Finding:
+        assert self._endpoint is not None
+        # a silent peer would only be waited for again
+        told = ask_version(self._address, self._endpoint.address[1], key=self._key) if self._probes.answered else None
+        return path.version(__version__, told, str(self.peer))
 
     def _large(self) -> Finding:
         if not self._probes.answered:
