@@ -22,7 +22,7 @@ LEVEL = 0.95
 class PositionFit:
     """The access point's place. x_m, y_m: with intervals of their own; `contains` asks the joint 95 % region."""
 
-    def __init__(self, xs: Array, ys: Array, weight: Array) -> None:
+    def __init__(self, xs: Array, ys: Array, weight: Array, searched: tuple[Array, Array]) -> None:
         self._xs, self._ys = xs, ys
         weight = weight / weight.sum()
         order = np.sort(weight.ravel())[::-1]
@@ -32,7 +32,9 @@ class PositionFit:
         self.x_m = _axis(xs, weight.sum(axis=0), float(xs[column]))
         self.y_m = _axis(ys, weight.sum(axis=1), float(ys[row]))
         self.region_area_m2 = float(self.mask.sum() * (xs[1] - xs[0]) * (ys[1] - ys[0]))
-        self.bounded = not bool(self.mask[[0, -1], :].any() or self.mask[:, [0, -1]].any())
+        low, high = searched
+        at_x, at_y = xs[self.mask.any(axis=0)], ys[self.mask.any(axis=1)]
+        self.bounded = bool(at_x[0] > low[0] and at_x[-1] < high[0] and at_y[0] > low[1] and at_y[-1] < high[1])
         self.note = "" if self.bounded else "the region leaves the searched area: the drive does not surround the place"
 
     def contains(self, x_m: float, y_m: float) -> bool:
@@ -91,7 +93,7 @@ def fit_position(
     step_x, step_y = xs[1] - xs[0], ys[1] - ys[0]
     xs = np.linspace(max(low[0], xs[columns[0]] - step_x), min(high[0], xs[columns[-1]] + step_x), cells)
     ys = np.linspace(max(low[1], ys[rows[0]] - step_y), min(high[1], ys[rows[-1]] + step_y), cells)
-    return PositionFit(xs, ys, _weight(grid, places, rssi, xs, ys))
+    return PositionFit(xs, ys, _weight(grid, places, rssi, xs, ys), (low, high))
 
 
 def _weight(grid: SpatialGrid, places: Array, rssi: Array, xs: Array, ys: Array) -> Array:
