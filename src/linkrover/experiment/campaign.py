@@ -34,8 +34,11 @@ from linkrover.probe.address import split_host_port
 
 ENDS = ("robot", "station")
 RECORD_FILE = "campaign.json"
-EXPECTED = {"robot": ("link_utilization", "wireless_link", "probe_result"), "station": ("link_utilization",)}
-"""Parts of topic names without which a recording of that end is not whole."""
+EXPECTED = {
+    "robot": (("link_utilization",), ("wireless_link", "station_link"), ("probe_result",)),
+    "station": (("link_utilization",),),
+}
+"""Topics without which a recording of that end is not whole; of several in one place, one is enough."""
 
 
 class Finding(msgspec.Struct, frozen=True):
@@ -260,11 +263,9 @@ class Campaign:
 def faults(end: str, stopped: Stopped) -> list[str]:
     """What keeps a recording from being whole."""
     found = [f"{end}: {problem}" for problem in stopped.problems]
-    for part in EXPECTED[end]:
-        count = sum(count for topic, count in stopped.topics.items() if f"/linkrover/{part}" in topic)
-        if count == 0:
-            found.append(f"{end}: not one {part.replace('_', ' ')} in the recording")
-    return found
+    there = {topic.rpartition("/")[2] for topic, count in stopped.topics.items() if count and "/linkrover/" in topic}
+    missing = [" or ".join(parts).replace("_", " ") for parts in EXPECTED[end] if not there.intersection(parts)]
+    return found + [f"{end}: not one {what} in the recording" for what in missing]
 
 
 def _answers(status: Status, peer: str) -> Finding:

@@ -189,6 +189,11 @@ def _check(plan: Plan, file: str) -> None:
         refuse("duration_s", plan.duration_s, "1 to 86400 seconds, or absent: until the drive is over")
     if plan.trajectory.route not in ROUTES and not plan.trajectory.waypoints:
         refuse("trajectory.route", plan.trajectory.route, f"one of {', '.join(ROUTES)}; or give waypoints")
+    if plan.trajectory.waypoints:
+        try:
+            Route(waypoints=plan.trajectory.waypoints)
+        except ConfigError as error:
+            raise ConfigError(f"{file}: {error}") from error
     for key in ("wireless_hz", "utilization_hz", "errors_hz"):
         value = getattr(plan.rates, key)
         if not (value == 0 or 0.001 <= value <= 1000):
