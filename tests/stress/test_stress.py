@@ -400,8 +400,9 @@ def test_the_command_sees_the_queue_of_a_narrow_link_fill_in_one_direction_only(
         try:
             token = reflector.stderr.readline().rpartition("token: ")[2].strip()
             environment = {**os.environ, "LINKROVER_STRESS_TOKEN": token}
-            done = run(*robot, *linkrover, "stress", "10.79.0.2", "--profile", "udp", "--rate", "12", "--json",
-                       "--seconds", "1.5", "--phase", "idle", "--phase", "up", "--phase", "down", env=environment)  # fmt: skip
+            phases = ("--phase", "idle", "--phase", "up", "--phase", "down")
+            options = ("--profile", "udp", "--rate", "12", "--json", "--seconds", "1.5", *phases)
+            done = run(*robot, *linkrover, "stress", "10.79.0.2", *options, env=environment)
             assert done.returncode == 0, done.stderr
             idle, up, down = json.loads(done.stdout)["phases"]
             assert idle["probes"]["rtt"]["median_ns"] < 20e6
