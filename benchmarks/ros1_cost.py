@@ -11,7 +11,6 @@ from benchmarks._ros1 import LINKROVER, PLAY, Pair, cpu_s, resident_mb
 
 WARM_UP_S = 6.0
 MEASURE_S = 40.0
-NODE = "rosrun"
 
 # One pipeline a value, as measuring scripts commonly are: neutral equivalents, written for this comparison.
 SHELL_NODE = r"""
@@ -77,7 +76,7 @@ def _cpu(pair: Pair) -> None:
         pair.start("robot", [sys.executable, "-c", SHELL_NODE, what, iface])
         for what in ("link_utilization", "network_errors")
     ]
-    lean = ["--ping", "", "--wireless-rate", "0", "--traffic-period", "0"]
+    lean = ["--ping", "", "--wireless-rate", "0", "--tcp-rate", "0", "--traffic-period", "0"]
     ours = pair.start("robot", [*LINKROVER, "client", "-i", iface, "--node", "two_jobs", *lean, "--no-diagnostics"])
     whole = pair.start(
         "robot", [*LINKROVER, "client", "-i", iface, "--node", "whole", "--record", f"{pair.folder.name}/run"]

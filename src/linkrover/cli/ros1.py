@@ -52,6 +52,9 @@ class Measuring:
     errors_rate: float | None = None
     """Samples of the error counters per second; 0 = off. [default: 1]"""
 
+    tcp_rate: float = 1.0
+    """Samples of each TCP connection per second; 0 = off."""
+
     delay_rate: float | None = None
     """Pings per second. [default: 1]"""
 
@@ -213,6 +216,7 @@ def _run(kind: str, remappings: tuple[str, ...], measuring: Measuring | None) ->
         "wireless_hz": given.wireless_rate,
         "utilization_hz": given.utilization_rate,
         "errors_hz": given.errors_rate,
+        "tcp_hz": given.tcp_rate,
         "delay_hz": given.delay_rate,
         "timeout_s": given.timeout,
         "odom": given.odom,

@@ -9,7 +9,7 @@ import threading
 import time
 import urllib.parse
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from linkrover.agent import Agent
 from linkrover.agent.machine import route_interface
@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 
 POSE_HZ = 20.0
 """Poses recorded a second at most; odometry often comes faster than a link changes."""
-FIND_PERIOD_S = 3.0
+SEEK_PERIOD_S = 1.0
+FOUND_PERIOD_S = 30.0
+"""Each look asks the master for the whole graph, perhaps over the link under test."""
 CONNECTION_KEPT_NS = 3_000_000_000
 COMBINED_HZ = 1.0
 COMBINED_WINDOW_NS = 3_000_000_000
@@ -132,7 +134,8 @@ class Ros1Part:
 
     def _find_peer(self, action: str) -> None:
         """Who answers our pings, through which interface, and whether a STAMP reflector is there to probe beside."""
-        while not self._done.wait(FIND_PERIOD_S if self._reflectors else 0.5):
+        found = None
+        while not self._done.wait(SEEK_PERIOD_S if found is None else FOUND_PERIOD_S):
             if not self.node.joined:
                 continue
             try:
@@ -160,7 +163,7 @@ class Ros1Part:
         host = urllib.parse.urlparse(uri).hostname or ""
         return host, int(port) if code == 1 and str(port).isdigit() else 0
 
-    def _found(self, host: str, reflector_port: int, family: int, address: tuple[str | int, ...]) -> None:
+    def _found(self, host: str, reflector_port: int, family: int, address: tuple[Any, ...]) -> None:
         agent = self._agent
         if agent is None or self._done.is_set() or self.prober is None:
             return
@@ -214,7 +217,7 @@ class Ros1Part:
         while not self._done.wait(self.options.traffic_s):
             if not self.node.joined:
                 continue
-            reader = reader or TrafficReader(self.node.resolved_name, only_local=True)
+            reader = reader or TrafficReader(self.node.resolved_name, only_local=True, refresh_s=FOUND_PERIOD_S)
             try:
                 rows = reader.read(self._recent_connections())
             except RpcError as error:

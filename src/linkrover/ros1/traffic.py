@@ -61,12 +61,22 @@ class TrafficReader:
     """Reads the bus statistics of the graph's nodes, without subscribing to anything.
 
     only_local: ask nodes of this machine only, so that asking puts nothing on the air but the call to the master.
+    refresh_s: how long the list of nodes is kept.
     """
 
-    def __init__(self, caller: str = "/linkrover_traffic", *, only_local: bool = False, timeout_s: float = 1.0) -> None:
+    def __init__(
+        self,
+        caller: str = "/linkrover_traffic",
+        *,
+        only_local: bool = False,
+        timeout_s: float = 1.0,
+        refresh_s: float = 0.0,
+    ) -> None:
         self._caller = caller
         self._only_local = only_local
         self._timeout_s = timeout_s
+        self._refresh_s = refresh_s
+        self._refresh_due_ns = 0
         self._nodes: dict[str, Rpc] = {}
         self._local: dict[str, bool] = {}
         self._seen: dict[Key, _Seen] = {}
@@ -78,7 +88,10 @@ class TrafficReader:
         Raises:
             RpcError: no master.
         """
-        self._refresh_nodes()
+        asked_ns = time.monotonic_ns()
+        if asked_ns >= self._refresh_due_ns or self.problems:
+            self._refresh_nodes()
+            self._refresh_due_ns = asked_ns + round(self._refresh_s * 1e9)
         by_uri = {rpc.uri.rstrip("/"): node for node, rpc in self._nodes.items()}
         rows: list[Row] = []
         self.problems = {}
