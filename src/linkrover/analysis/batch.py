@@ -40,7 +40,7 @@ def find_runs(paths: Iterable[Path]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-def load_all(paths: Sequence[Path]) -> tuple[list[Run], list[tuple[Path, LinkRoverError]]]:
+def load_all(paths: Sequence[Path], topics: Path | None = None) -> tuple[list[Run], list[tuple[Path, LinkRoverError]]]:
     """Load every run; those that cannot be read come back with their error. Progress on a terminal's stderr."""
     runs: list[Run] = []
     failed: list[tuple[Path, LinkRoverError]] = []
@@ -48,7 +48,7 @@ def load_all(paths: Sequence[Path]) -> tuple[list[Run], list[tuple[Path, LinkRov
     shown = False
     for i, path in enumerate(paths):
         try:
-            runs.append(load_run(path))
+            runs.append(load_run(path, topics=topics))
         except LinkRoverError as error:
             failed.append((path, error))
         if sys.stderr.isatty() and time.monotonic() - began > PROGRESS_AFTER_S and len(paths) > 1:

@@ -29,11 +29,13 @@ CLOCK_STEP_NS = 50_000_000
 TIGHT = 1.5
 
 
-def load_run(path: str | Path, *, case: str | None = None, trial: int | None = None) -> Run:
+def load_run(
+    path: str | Path, *, case: str | None = None, trial: int | None = None, topics: str | Path | None = None
+) -> Run:
     """Load a run: a folder with `robot/` and `station/`, one recording, a ROS 1 bag, or a CSV file of 2021.
 
-    `case` and `trial` override what the recording says. Raises LinkRoverError where there is nothing to read; what is
-    damaged or missing stands in `Run.problems`.
+    `case` and `trial` override what the recording says; `topics` is a TOML table of topic patterns for other people's
+    bags. Raises LinkRoverError where there is nothing to read; what is damaged or missing stands in `Run.problems`.
     """
     path = Path(path)
     if not path.exists():
@@ -44,8 +46,14 @@ def load_run(path: str | Path, *, case: str | None = None, trial: int | None = N
         return run_of_trial(load_trial(path, case, trial))
     from .recorded import read_raw
 
-    raws, problems = read_raw(path)
-    run = build_run(path.resolve().name, str(path), raws, problems)
+    raws, problems = read_raw(path, Path(topics) if topics is not None else None)
+    bag = path.suffix.lower() == ".bag"
+    run = build_run(path.stem if bag else path.resolve().name, str(path), raws, problems)
+    if bag and run.case is None:
+        from linkrover.importer.naming import guess_setup
+
+        setup = guess_setup(path.name)
+        run.case, run.trial, run.factors = setup.case, setup.trial, setup.factors()
     run.case = case if case is not None else run.case
     run.trial = trial if trial is not None else run.trial
     return run

@@ -22,7 +22,7 @@ KINDS = ("robot", "station", "truth")
 MOST_POSES = 500_000  # a week of odometry is not needed to the 20 ms: every k-th pose of more than this
 
 
-def read_raw(path: Path) -> tuple[dict[str, RawEnd], list[str]]:
+def read_raw(path: Path, topics: Path | None = None) -> tuple[dict[str, RawEnd], list[str]]:
     """The tables of every end found at `path`, and what was damaged or could not be read.
 
     Raises LinkRoverError if nothing at all can be read.
@@ -34,7 +34,7 @@ def read_raw(path: Path) -> tuple[dict[str, RawEnd], list[str]]:
     errors: list[LinkRoverError] = []
     for place in find_recordings(path):
         try:
-            found, said = read_ends(place)
+            found, said = read_ends(place, topics)
         except LinkRoverError as error:
             errors.append(error)
             problems.append(f"{place.name}: cannot be read: {error}")
@@ -54,17 +54,18 @@ def read_raw(path: Path) -> tuple[dict[str, RawEnd], list[str]]:
     return raws, problems
 
 
-def read_ends(place: Path) -> tuple[dict[str, RawEnd], list[str]]:
+def read_ends(place: Path, topics: Path | None = None) -> tuple[dict[str, RawEnd], list[str]]:
     """The ends in one recording (a bag may hold both) and its problems. Pure and picklable, for spreading over many."""
-    from linkrover.bag import read_recording
+    from linkrover.bag import DEFAULT_PATTERNS, load_patterns, read_recording
     from linkrover.bag.frames import iter_frames
 
-    recording = read_recording(place)
+    patterns = load_patterns(topics) if topics is not None else DEFAULT_PATTERNS
+    recording = read_recording(place, patterns=patterns)
     problems: list[str] = []
     parts: dict[tuple[str, str, tuple[str, ...]], list[Columns]] = {}
     kinds = [getattr(records, name) for name in KEYS]
     thin = _thinning(recording)
-    for batch in iter_frames(place, kinds=kinds, problems=problems):
+    for batch in iter_frames(place, kinds=kinds, patterns=patterns, problems=problems):
         for kind, frame in batch.items():
             _collect(parts, kind.__name__, frame, thin)
     raws: dict[str, RawEnd] = {}

@@ -20,6 +20,7 @@ def report(
     format: Format | None = None,  # noqa: A002 - the option's name
     out: Path | None = None,
     outage_threshold: float = 1.0,
+    topics: Path | None = None,
     need: Annotated[tuple[str, ...], Parameter(negative=())] = (),
     figures: Path | None = None,
     figure_format: Annotated[tuple[Literal["png", "svg", "pdf"], ...], Parameter(negative=())] = ("png",),
@@ -50,6 +51,8 @@ def report(
         html the file linkrover-report.html.
     outage_threshold
         Seconds without an answered probe from which on it is an outage.
+    topics
+        TOML table that says which topic of other people's bags is what ([[topic]] with topic, type, end).
     need
         A need to check every set-up against, for example --need "camera: throughput >= 30" or
         --need "commands: delay.p99 <= 100, loss <= 1". May be given several times.
@@ -72,7 +75,7 @@ def report(
 
     plan = load_floor_plan(floor_plan) if floor_plan is not None else FloorPlan()
     paths = find_runs(runs)
-    loaded, failed = load_all(paths)
+    loaded, failed = load_all(paths, topics)
     for path, error in failed:
         print(f"linkrover: left out: {path}: {error}", file=sys.stderr)
     if not loaded:
