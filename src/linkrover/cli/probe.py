@@ -5,6 +5,8 @@ from __future__ import annotations
 import json as json_module
 import sys
 import time
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +25,7 @@ from . import _units
 
 EACH_PROBE_UP_TO_HZ = 10.0
 DRAIN_EXTRA_NS = 50_000_000
+RESULTS_MOST = 500_000
 
 
 def probe(
@@ -93,6 +96,7 @@ def probe(
     )
     if not (quiet or json):
         print(f"probing {name} ({endpoint}), {sender.packet_bytes} octets at {rate:g} Hz, session {sender.session}")
+    run.reason = lambda: (sender.last_error and sender.last_error.strerror) or "refused"
     interrupted = _go(loop, sender, run, deadline_ns=round(deadline * 1e9))
     summary = summarise(run.results)
     if json:
@@ -105,6 +109,8 @@ def probe(
         print(json_module.dumps(document, indent=2))
     else:
         print(f"\n--- {endpoint}, {summary.duration_ns / 1e9:.1f} s ---")
+        if len(run.results) == RESULTS_MOST:
+            print(f"of the last {RESULTS_MOST} probes:")
         print("\n".join(render(summary, stateless=sender.reflector_stateless)))
     if summary.answered + summary.late == 0:
         print(f"linkrover: {_why_silent(sender, endpoint.address[1])}", file=sys.stderr)
@@ -146,20 +152,26 @@ class _Run:
     """Keeps the results and prints the live lines."""
 
     def __init__(self, rate: float, *, quiet: bool) -> None:
-        self.results: list[ProbeResult] = []
+        self.results: deque[ProbeResult] = deque(maxlen=RESULTS_MOST)
+        self.reason: Callable[[], str] = str
         self._quiet = quiet
         self._each = rate <= EACH_PROBE_UP_TO_HZ
-        self._since = 0
+        self._fresh: list[ProbeResult] = []
 
     def take(self, result: ProbeResult) -> None:
         self.results.append(result)
-        if self._each and not self._quiet:
-            print(line(result), flush=True)
+        if self._quiet:
+            return
+        if self._each:
+            reason = f" ({self.reason()})" if result.state is ProbeState.NOT_SENT else ""
+            print(line(result) + reason, flush=True)
+        else:
+            self._fresh.append(result)
 
     def second(self) -> None:
         if self._each or self._quiet:
             return
-        fresh, self._since = self.results[self._since :], len(self.results)
+        fresh, self._fresh = self._fresh, []
         states = [r.state for r in fresh]
         rtts = sorted(r.rtt_ns for r in fresh if r.rtt_ns is not None and not r.duplicates)
         lost = sum(s in (ProbeState.LOST, ProbeState.LOST_FORWARD, ProbeState.LOST_BACK) for s in states)

@@ -17,6 +17,7 @@ import msgspec
 from linkrover.records import ClockSource, ProbeResult, ProbeState
 
 AMENDMENTS_MOST = 3
+UNDIRECTED_MOST = 20_000
 _REFLECTOR_NUMBERS_KEPT = 1 << 16
 _RESTART_GAP = 1_000
 
@@ -85,7 +86,8 @@ class Ledger:
         self._flights: dict[int, Flight] = {}
         self._aging: deque[Flight] = deque()
         self._unsettled: deque[Flight] = deque()
-        self._undirected: list[Flight] = []  # lost since the anchor, direction not known
+        # lost since the anchor, direction not known; the oldest of a very long outage stay without one
+        self._undirected: deque[Flight] = deque(maxlen=UNDIRECTED_MOST)
         self._anchor: Flight | None = None  # the last answered probe of the settled ones
         self._next_answered: Flight | None = None
         self._newest_answered = -1
