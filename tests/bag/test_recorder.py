@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -284,3 +285,17 @@ def test_the_manifest_is_read_without_its_metadata(tmp_path):
     record_all(tmp_path / "robot", 3)
     (found,) = read_recording(tmp_path / "robot").records(Manifest)
     assert found == manifest()
+
+
+def test_records_of_several_threads_are_all_there(tmp_path):
+    with Recorder(tmp_path / "robot", manifest()) as recorder:
+        threads = [
+            threading.Thread(target=lambda part=part: [recorder.take(record_number(n)[1]) for n in range(part, 400, 4)])
+            for part in range(4)
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    found = [r.sequence for r in read_recording(tmp_path / "robot").records(ProbeResult) if isinstance(r, ProbeResult)]
+    assert sorted(found) == list(range(400))

@@ -96,7 +96,8 @@ class _Delay:
             self._last = int(stamp[good[-1]])
         stale = (stamp == before) | (np.abs(times - stamp) > STALE_STAMP_NS)
         finite = np.where(np.isfinite(delay), delay, -1.0)
-        whole = np.rint(finite * 1e6).astype(np.int64)
+        with np.errstate(all="ignore"):
+            whole = np.rint(finite * 1e6).astype(np.int64)
         wall_ns = np.where(stale, times - np.maximum(whole, 0), stamp)
         known = _base(self._meaning, columns, iface=True) | {
             "wall_ns": wall_ns,
@@ -145,12 +146,14 @@ def _with_rates(frame: pl.DataFrame) -> pl.DataFrame:
 def _odometry(meaning: Meaning, columns: Columns, _: Indices) -> tuple[pl.DataFrame, int]:
     wall_ns = stamps(columns)
     x, y, z, w = (number(columns, f"pose.pose.orientation.{axis}") for axis in "xyzw")
+    with np.errstate(all="ignore"):  # a quaternion of a damaged message may be anything
+        heading_rad = np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
     known: dict[str, Any] = {
         "wall_ns": wall_ns,
         "mono_ns": wall_ns,
         "x_m": number(columns, "pose.pose.position.x"),
         "y_m": number(columns, "pose.pose.position.y"),
-        "heading_rad": np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z),
+        "heading_rad": heading_rad,
         "forward_m_per_s": pl.Series(number(columns, "twist.twist.linear.x")).fill_nan(None),
         "turn_rad_per_s": pl.Series(number(columns, "twist.twist.angular.z")).fill_nan(None),
         "frame": texts(columns, "header.frame_id"),

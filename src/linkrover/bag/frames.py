@@ -17,7 +17,7 @@ from linkrover.records import Record
 
 from .blocks import Block, Problems, Topic
 from .columns import convert, from_records
-from .interpret import Interpreter, definitions_of, interpreter
+from .interpret import Interpreter, checked_definitions, interpreter
 from .layout import Indices, Layout, UnfitTypeError
 from .patterns import DEFAULT_PATTERNS, Meaning, TopicPattern, meanings
 from .reading import open_container, recording_files, topics_of
@@ -149,7 +149,8 @@ class _Vectorised:
         self.topic = topic
         self.meaning = meaning
         skip = frozenset(("pose.covariance", "twist.covariance"))
-        self._layout = Layout(topic.type, definitions_of(topic), ros1=topic.ros1, skip=skip)
+        definitions = checked_definitions(topic, native=meaning.native)
+        self._layout = Layout(topic.type, definitions, ros1=topic.ros1, skip=skip)
         self._convert = convert(topic, meaning)
 
     def frames(self, data: np.ndarray, times: Indices, starts: Indices, ends: Indices, problems: Problems) -> Frames:

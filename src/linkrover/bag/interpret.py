@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import struct
+from collections.abc import Iterator
 from typing import Any
 
 import msgspec
@@ -33,6 +35,29 @@ def definitions_of(topic: Topic) -> Definitions:
     return texts.definitions(topic.type)
 
 
+def checked_definitions(topic: Topic, *, native: bool) -> Definitions:
+    """As `definitions_of`, once the fields a record is made of are there with their types.
+
+    A type of ours may lack some, since older recordings do. Raises LinkRoverError.
+    """
+    found = definitions_of(topic)
+    here, ours = dict(_flat(topic.type, found)), dict(_flat(topic.type, texts.definitions(topic.type)))
+    for path, kind in ours.items():
+        stamp = path.startswith("header.stamp.")  # signed in ROS 2, not in ROS 1
+        needed = not native or path.startswith("header.") or path in ("mono_ns", "unknown")
+        if (path not in here and needed) or (path in here and here[path] != kind and not stamp):
+            raise ParseError(topic.name, f"definition of {topic.type}", f"{path} as {kind[0]}")
+    return found
+
+
+def _flat(name: str, definitions: Definitions, prefix: str = "") -> Iterator[tuple[str, tuple[str, int | None]]]:
+    for field in definitions[name]:
+        if "/" in field.type and field.count is None:
+            yield from _flat(field.type, definitions, f"{prefix}{field.name}.")
+        else:
+            yield prefix + field.name, (field.type, field.count)
+
+
 class Interpreter:
     """Turns the messages of one topic into records. Keeps the last one where a rate or a time depends on it."""
 
@@ -42,7 +67,7 @@ class Interpreter:
             raise ParseError(topic.name, "encoding", "cdr or ros1", topic.encoding)
         self.topic = topic
         self.meaning = meaning
-        self._codec = Codec(topic.type, definitions_of(topic), ros1=topic.ros1)
+        self._codec = Codec(topic.type, checked_definitions(topic, native=meaning.native), ros1=topic.ros1)
         self._last: dict[str, LinkUtilization] = {}
         self._last_stamp: int | None = None
 
@@ -70,7 +95,8 @@ class Interpreter:
         self._last_stamp = stamp
         if not stale:
             return None
-        return log_ns - max(round(float(message["delay"]) * 1e6), 0)
+        delay = float(message["delay"])
+        return log_ns - max(round(delay * 1e6), 0) if math.isfinite(delay) else log_ns
 
     def _derived(self, record: Record) -> Record:
         iface = self.meaning.iface

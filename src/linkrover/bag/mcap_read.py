@@ -151,8 +151,7 @@ class McapFile:
         for opcode, at, end in self._walk(data, len(MAGIC), ""):
             if chunk is not None:
                 if opcode == Opcode.MESSAGE_INDEX and at == index_end:
-                    _take_index(data[at + 9 : end], chunk[2])
-                    index_end = end
+                    index_end = end if _take_index(data[at + 9 : end], chunk[2]) else -1
                     continue
                 # an index of which a part is cut off or damaged would hide messages
                 yield from self._chunk(data[chunk[0] + 9 : chunk[1]], chunk[2] if at == index_end else {})
@@ -362,10 +361,15 @@ class McapFile:
                 self._problems.add(f"{name}: {missing} of {promised} messages are missing")
 
 
-def _take_index(body: memoryview, index: dict[int, bytes]) -> None:
-    if len(body) >= 6:
-        channel = int.from_bytes(body[:2], "little")
-        index[channel] = index.get(channel, b"") + bytes(body[6:])
+def _take_index(body: memoryview, index: dict[int, bytes]) -> bool:
+    """Note a chunk's index of one topic; False if it is damaged."""
+    if len(body) < 6 or len(body) % 16 != 6 or int.from_bytes(body[2:6], "little") != len(body) - 6:
+        return False
+    channel = int.from_bytes(body[:2], "little")
+    if channel in index:
+        return False
+    index[channel] = bytes(body[6:])
+    return True
 
 
 def _is_end(data: memoryview, at: int) -> bool:

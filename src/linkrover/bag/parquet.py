@@ -113,8 +113,11 @@ def convert_recording(job: Job) -> Converted:
                 target = job.out / folder(kind) / job.partition / f"{stem}-{number:04}.parquet"
                 target.parent.mkdir(parents=True, exist_ok=True)
                 part = target.with_suffix(".part")
-                frame.write_parquet(part, compression="zstd")
-                part.rename(target)
+                try:
+                    frame.write_parquet(part, compression="zstd")
+                    part.rename(target)
+                finally:
+                    part.unlink(missing_ok=True)
                 files.append(target)
                 rows[kind.__name__] = rows.get(kind.__name__, 0) + len(frame)
     except OSError as error:

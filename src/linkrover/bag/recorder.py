@@ -79,7 +79,8 @@ class Recorder:
         self._pending = bytearray()
         self._marks: list[int] = []  # where each pending record ends
         self._events: list[LinkEvent] = []
-        self._lock = threading.Lock()
+        self._lock = threading.Lock()  # what is pending; never held while writing
+        self._taking = threading.RLock()  # channels and their sequence; again by an event that is itself recorded
         self._wake = threading.Event()
         self._closing = False
         self.path, self._fd = _create(directory)
@@ -97,7 +98,11 @@ class Recorder:
         self._thread.start()
 
     def take(self, record: Record) -> None:
-        """Record it. Never waits for the disk."""
+        """Record it, from any thread. Never waits for the disk."""
+        with self._taking:
+            self._take(record)
+
+    def _take(self, record: Record) -> None:
         if self._events:
             self._tell()
         data = bytearray()

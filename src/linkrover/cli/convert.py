@@ -99,10 +99,13 @@ def _spread(work: Sequence[Job], jobs: int | None) -> Iterator[tuple[Job, Conver
             yield job, _one(job)
         return
     import multiprocessing
+    import signal
     from concurrent.futures import ProcessPoolExecutor, as_completed
 
-    # spawn: a forked child of a process with polars' threads may hang
-    with ProcessPoolExecutor(number, multiprocessing.get_context("spawn")) as pool:
+    # spawn: a forked child of a process with polars' threads may hang. Ctrl-C is for this process: it cancels what has
+    # not begun and lets the others finish their file
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(number, spawn, signal.signal, (signal.SIGINT, signal.SIG_IGN)) as pool:
         waiting = {pool.submit(_one, job): job for job in work}
         try:
             for future in as_completed(waiting):
