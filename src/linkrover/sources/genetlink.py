@@ -13,6 +13,7 @@ GENL_ID_CTRL = 16
 CTRL_CMD_GETFAMILY = 3
 CTRL_ATTR_FAMILY_ID, CTRL_ATTR_FAMILY_NAME, CTRL_ATTR_VERSION, CTRL_ATTR_MCAST_GROUPS = 1, 2, 3, 7
 CTRL_ATTR_MCAST_GRP_NAME, CTRL_ATTR_MCAST_GRP_ID = 1, 2
+_HEADER = struct.Struct("=BBH")
 GENL_HEADER = 4  # struct genlmsghdr: u8 command, u8 version, u16 reserved
 
 
@@ -108,7 +109,7 @@ class Genetlink:
             NetlinkError: the kernel refused or did not answer.
             ParseError: the answer is not netlink.
         """
-        header = struct.pack("=BBH", command, 0, 0)
+        header = _HEADER.pack(command, 0, 0)
         name = asked or f"{self.family.name} command {command}"
         return self._socket.request(self.family.id, header + payload, dump=dump, asked=name)
 
@@ -119,9 +120,10 @@ class Genetlink:
             NetlinkError: as ask(), and ENODATA where the kernel only acknowledged.
             ParseError: the answer is not netlink.
         """
-        answers = self.ask(command, payload, asked=asked)
+        name = asked or f"{self.family.name} command {command}"
+        answers = self._socket.request(self.family.id, _HEADER.pack(command, 0, 0) + payload, single=True, asked=name)
         if not answers:
-            raise NetlinkError(errno.ENODATA, asked or f"{self.family.name} command {command}")
+            raise NetlinkError(errno.ENODATA, name)
         return answers[0]
 
     def join(self, group: str) -> bool:

@@ -151,23 +151,27 @@ class NetlinkSocket:
             if mask >> bit & 1:
                 self.join(bit + 1)
 
-    def request(self, kind: int, payload: bytes, *, dump: bool = False, asked: str = "netlink request") -> list[bytes]:
+    def request(
+        self, kind: int, payload: bytes, *, dump: bool = False, single: bool = False, asked: str = "netlink request"
+    ) -> list[bytes]:
         """Ask and return the payloads of the answers. A dump that the kernel marks as torn is taken again.
+
+        single: the request has exactly one answer, so that no acknowledgement is asked for and waited for.
 
         Raises:
             NetlinkError: the kernel refused, or did not answer in time (ETIMEDOUT).
             ParseError: the answer is not netlink.
         """
         for _ in range(_DUMP_TRIES):
-            answers, torn = self._ask(kind, payload, dump, asked)
+            answers, torn = self._ask(kind, payload, dump, single, asked)
             if not torn:
                 break
         return answers
 
-    def _ask(self, kind: int, payload: bytes, dump: bool, asked: str) -> tuple[list[bytes], bool]:
+    def _ask(self, kind: int, payload: bytes, dump: bool, single: bool, asked: str) -> tuple[list[bytes], bool]:
         self._sequence = (self._sequence + 1) & 0x7FFFFFFF
         sequence = self._sequence
-        flags = NLM_F_REQUEST | (NLM_F_DUMP if dump else NLM_F_ACK)
+        flags = NLM_F_REQUEST | (NLM_F_DUMP if dump else 0 if single else NLM_F_ACK)
         try:
             self._socket.send(message(kind, flags, sequence, payload))
         except OSError as reason:
@@ -189,6 +193,8 @@ class NetlinkSocket:
                     return answers, torn
                 if one.type > NLMSG_OVERRUN:
                     answers.append(one.payload)
+                    if single:
+                        return answers, False
 
     @staticmethod
     def _check(one: Message, asked: str) -> None:
