@@ -201,7 +201,7 @@ def _series(columns: Columns, path: str, field: FieldInfo, unfit: npt.NDArray[np
 def _numeric(column: npt.NDArray[Any], field: FieldInfo) -> pl.Series | None:
     if field.kind == "int":
         if column.dtype.kind == "f":
-            missing = ~np.isfinite(column)
+            missing = ~(np.abs(column.astype(np.float64)) < 2.0**63)
             return null_where(pl.Series(np.where(missing, 0, column).astype(np.int64)), missing)
         found = pl.Series(column.astype(np.int64))
         return null_where(found, column == -1) if field.optional else found

@@ -30,6 +30,7 @@ from .schema import Field
 from .wire import Message
 
 PACKAGE = "linkrover_msgs"
+_INT64_END = 2**63
 # `case` is a C++ keyword, so that no message can have a field of that name
 RENAMED = {"case": "case_name"}
 
@@ -184,7 +185,7 @@ def _int_or_none(value: Any) -> int | None:
 
 
 def _float_to_int(value: Any) -> int | None:
-    return None if math.isnan(value) else int(value)
+    return int(value) if abs(value) < _INT64_END else None  # NaN is less than nothing
 
 
 def _nested(struct: type[msgspec.Struct]) -> tuple[_Convert, _Convert]:
