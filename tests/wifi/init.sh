@@ -12,7 +12,6 @@ $bb mount -t overlay -o lowerdir=/lower,upperdir=/upper/data,workdir=/upper/work
 $bb mkdir -p /root/proc /root/sys /root/dev /root/run /root/result /root/guest-modules
 for each in proc sys dev; do $bb mount -o move /$each /root/$each; done
 $bb mount -t tmpfs tmpfs /root/run
-$bb mount -t tmpfs tmpfs /root/tmp
 $bb mkdir -p /root/dev/pts /root/dev/shm
 $bb mount -t devpts devpts /root/dev/pts
 $bb mount -t tmpfs tmpfs /root/dev/shm

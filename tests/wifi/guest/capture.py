@@ -65,7 +65,7 @@ def main() -> None:
     found: dict[str, Any] = {}
     for name, options in RATES.items():
         folder = Path("/tmp") / name
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
         air = Air(folder)
         passphrase = None if name == "legacy" else PASSPHRASE
         air.access_point(robot, f"rate {name}", 36, passphrase=passphrase, **options)  # type: ignore[arg-type]
@@ -90,7 +90,7 @@ def _events(robot: Radio, station: Radio, robot2: Radio) -> dict[str, list[str]]
         for group in GROUPS:
             ears[radio.ns].join(group)
     folder = Path("/tmp/events")
-    folder.mkdir()
+    folder.mkdir(exist_ok=True)
     air = Air(folder)
     air.access_point(robot, "events", 1, more="bss_load_update_period=1")
     client = air.station(station, "events", [1, 6], more='bgscan="simple:1:-65:20"')

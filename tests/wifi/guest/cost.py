@@ -46,7 +46,7 @@ def main() -> None:
     robot, station = radios(2, NAMESPACES)
     robot.address("10.1.0.1/24")
     station.address("10.1.0.2/24")
-    Path("/tmp/air").mkdir()
+    Path("/tmp/air").mkdir(exist_ok=True)
     air = Air(Path("/tmp/air"))
     air.access_point(robot, "cost", 36)
     air.station(station, "cost", [36])
