@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from linkrover.errors import LinkRoverError
@@ -13,7 +11,6 @@ from .load import ENDS, load_run
 from .run import Run
 
 RECORDINGS = (".mcap", ".bag", ".csv", ".db3")
-PROGRESS_AFTER_S = 2.0
 
 
 def is_run(path: Path) -> bool:
@@ -40,20 +37,17 @@ def find_runs(paths: Iterable[Path]) -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-def load_all(paths: Sequence[Path], topics: Path | None = None) -> tuple[list[Run], list[tuple[Path, LinkRoverError]]]:
-    """Load every run; those that cannot be read come back with their error. Progress on a terminal's stderr."""
+def load_all(
+    paths: Sequence[Path], topics: Path | None = None, progress: Callable[[str], None] | None = None
+) -> tuple[list[Run], list[tuple[Path, LinkRoverError]]]:
+    """Load every run; those that cannot be read come back with their error. `progress` is told what is read."""
     runs: list[Run] = []
     failed: list[tuple[Path, LinkRoverError]] = []
-    began = time.monotonic()
-    shown = False
     for i, path in enumerate(paths):
+        if progress is not None:
+            progress(f"reading {path} ({i + 1} of {len(paths)})")
         try:
             runs.append(load_run(path, topics=topics))
         except LinkRoverError as error:
             failed.append((path, error))
-        if sys.stderr.isatty() and time.monotonic() - began > PROGRESS_AFTER_S and len(paths) > 1:
-            print(f"\r{i + 1} of {len(paths)} runs read", end="", file=sys.stderr, flush=True)
-            shown = True
-    if shown:
-        print(file=sys.stderr)
     return runs, failed

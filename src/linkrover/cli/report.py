@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -74,29 +75,44 @@ def report(
     from linkrover.radio.walls import FloorPlan, load_floor_plan
 
     plan = load_floor_plan(floor_plan) if floor_plan is not None else FloorPlan()
-    paths = find_runs(runs)
-    loaded, failed = load_all(paths, topics)
+    from rich.console import Console
+
+    from linkrover.analysis.summary import summarise
+
+    console = Console(stderr=True)
+    with console.status("looking for runs") if console.is_terminal else nullcontext() as status:
+
+        def say(text: str) -> None:
+            if status is not None:
+                status.update(text)
+
+        loaded, failed = load_all(find_runs(runs), topics, say)
+        summaries = []
+        for run in loaded:
+            say(f"summing up {run.name}")
+            summaries.append(summarise(run, method, outage_threshold_s=outage_threshold))
+        drawn: list[Path] = []
+        if figures is not None and loaded:
+            from linkrover.report.figures import write_figures
+            from linkrover.report.views import view_of
+
+            say("drawing the figures")
+            views = [view_of(run, summary) for run, summary in zip(loaded, summaries, strict=True)]
+            drawn = list(write_figures(views, figures, figure_format))
+        if format == "html" and loaded:
+            from linkrover.report.views import write_html
+
+            say("drawing the report")
+            walls = [(w.x1_m, w.y1_m, w.x2_m, w.y2_m) for w in plan.walls]
+            write_html(loaded, summaries, out or Path("linkrover-report.html"), need, walls)
     for path, error in failed:
         print(f"linkrover: left out: {path}: {error}", file=sys.stderr)
     if not loaded:
         return 1
-    from linkrover.analysis.summary import summarise
-
-    summaries = [summarise(run, method, outage_threshold_s=outage_threshold) for run in loaded]
-    if figures is not None:
-        from linkrover.report.figures import write_figures
-        from linkrover.report.views import view_of
-
-        views = [view_of(run, summary) for run, summary in zip(loaded, summaries, strict=True)]
-        for path in write_figures(views, figures, figure_format):
-            print(path)
+    for path in drawn:
+        print(path)
     if format == "html":
-        from linkrover.report.views import write_html
-
-        target = out or Path("linkrover-report.html")
-        walls = [(w.x1_m, w.y1_m, w.x2_m, w.y2_m) for w in plan.walls]
-        write_html(loaded, summaries, target, need, walls)
-        print(target)
+        print(out or Path("linkrover-report.html"))
     elif format == "json":
         import msgspec
 

@@ -67,10 +67,12 @@ def write_html(
     walls: Sequence[Wall] = (),
 ) -> None:
     """One HTML file without network access for these runs, with the comparison where there are several."""
+    from .comparison import case_key
     from .document import comparison_sections
     from .html import write_page
 
     views = [view_of(run, summary) for run, summary in zip(runs, summaries, strict=True)]
+    views.sort(key=lambda view: (*case_key(view.case), view.trial or 0, view.name))
     sections = comparison_sections(summaries, runs, needs)
     floors = {kind: side_by_side(views, kind, walls) for kind in TITLES} if len(views) > 1 else {}
     write_page(
@@ -99,7 +101,7 @@ def page_table(table: Table) -> PageTable:
     numeric = {j for row in table.rows for j, value in enumerate(row) if isinstance(value, (int, float))}
     return PageTable(
         name=table.name,
-        caption=" ".join([table.title, *table.notes]),
+        caption=". ".join([table.title, " ".join(table.notes)]) if table.notes else table.title,
         head=tuple(column.heading for column in table.columns),
         rows=tuple(tuple(table.text(i, j) for j in range(len(table.columns))) for i in range(len(table.rows))),
         best=frozenset(table.best()),
