@@ -28,6 +28,13 @@ def runtime(monkeypatch):
         yield Path(folder)
 
 
+@pytest.fixture
+def user_folder():
+    """A folder an ordinary user can reach; pytest's own are closed to him."""
+    with tempfile.TemporaryDirectory(prefix="lr-user-", dir="/tmp") as folder:
+        yield Path(folder)
+
+
 def devices():
     return sorted(path.name for path in Path("/sys/class/net").iterdir())
 
@@ -136,15 +143,12 @@ def test_after_kill_9_the_processes_end_the_recordings_are_readable_and_clean_re
 
 
 @pytest.mark.netns
-def test_an_ordinary_user_gets_the_same_where_the_device_is_open_to_him(tmp_path, runtime):
+def test_an_ordinary_user_gets_the_same_where_the_device_is_open_to_him(user_folder, runtime):
     packets()
-    folder = tmp_path / "user"
-    folder.mkdir()
+    folder = user_folder
     out = folder / "run"
     os.chown(runtime, 65534, 65534)
     command = as_nobody(0o666, [*LINKROVER, "demo", "--duration", "4", "--json", "--out", str(out)], str(folder))
-    for parent in (tmp_path, *list(tmp_path.parents)[:2]):
-        parent.chmod(parent.stat().st_mode | 0o011)
     environment = {**os.environ, "XDG_RUNTIME_DIR": str(runtime), "HOME": str(folder)}
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     if "virtual time" in done.stderr:
@@ -153,20 +157,15 @@ def test_an_ordinary_user_gets_the_same_where_the_device_is_open_to_him(tmp_path
     assert done.stdout, done.stderr
     found = json.loads(done.stdout)
     figures = {figure["what"]: figure for figure in found["outcome"]["agreement"]["figures"]}
-    # without real-time priority a loaded machine may delay packets; bytes, losses and RSSI do not depend on that
-    for what in ("robot sends", "station receives", "probes lost", "RSSI at robot", "RSSI at station"):
-        figure = figures[what]
+    for figure in figures.values():
         assert abs(figure["difference"]) <= figure["limit"], figure
     assert (out / "robot" / "robot.mcap").stat().st_uid == 65534
 
 
-def test_without_permission_it_says_which_and_runs_in_virtual_time(tmp_path):
-    folder = tmp_path / "user"
-    folder.mkdir()
+def test_without_permission_it_says_which_and_runs_in_virtual_time(user_folder):
+    folder = user_folder
     out = folder / "run"
     command = as_nobody(0o600, [*LINKROVER, "demo", "--duration", "5", "--out", str(out)], str(folder))
-    for parent in (tmp_path, *list(tmp_path.parents)[:2]):
-        parent.chmod(parent.stat().st_mode | 0o011)
     environment = {**os.environ, "XDG_RUNTIME_DIR": "", "HOME": str(folder), "COLUMNS": "200"}
     done = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -5,12 +5,16 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
+import time
 from pathlib import Path
 
 import pytest
 
 from linkrover.emulator import enter, netns
 from linkrover.emulator.netns import NotPermittedError, check_tun, in_namespace, make_host
+from linkrover.emulator.tap import Tap
+from linkrover.probe.packet import DEFAULT_PORT
 
 from .needs import as_nobody, packets
 
@@ -59,6 +63,22 @@ def test_packets_of_a_program_inside_arrive_at_the_device(host):
     packet = os.read(host.tun_fd, 2048)
     assert packet.endswith(b"hello")
     assert packet[16:20] == bytes([10, 77, 0, 1])
+
+
+def test_the_tap_tells_when_the_kernel_sent_a_probe_and_sees_nothing_else(host):
+    tap = Tap(os.dup(host.tap_fd))
+    handle = in_namespace(host.netns_fd, lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+    before = time.time_ns()
+    for port in (9, DEFAULT_PORT):
+        handle.sendto(b"probe", ("10.77.0.1", port))
+    after = time.time_ns()
+    handle.close()
+    other, probe = os.read(host.tun_fd, 2048), os.read(host.tun_fd, 2048)
+    assert tap.sent_ns(other) is None
+    sent_ns = tap.sent_ns(probe)
+    assert before <= sent_ns <= after
+    assert tap.sent_ns(probe) is None
+    tap.close()
 
 
 def test_a_program_started_inside_sees_the_devices_of_its_namespace_in_sys_and_proc(host):
@@ -149,14 +169,15 @@ def test_a_sysctl_that_forbids_user_namespaces_is_named_with_its_command(name, v
     assert name in error.missing
 
 
-def test_an_ordinary_user_makes_hosts_where_the_device_is_open_to_him(tmp_path):
+def test_an_ordinary_user_makes_hosts_where_the_device_is_open_to_him():
     packets()
     code = (
         "import os\nfrom linkrover.emulator.netns import become_namespace_root, make_host\n"
         "print(become_namespace_root(), os.getuid()); make_host('x', '10.77.0.9').close()\n"
     )
-    command = as_nobody(0o666, [sys.executable, "-c", code], str(tmp_path))
-    done = subprocess.run(command, capture_output=True, text=True)
+    with tempfile.TemporaryDirectory(prefix="lr-user-", dir="/tmp") as folder:
+        command = as_nobody(0o666, [sys.executable, "-c", code], folder)
+        done = subprocess.run(command, capture_output=True, text=True)
     if "user namespaces" in done.stderr:
         pytest.skip(f"this kernel or container forbids them: {done.stderr.strip().splitlines()[-1]}")
     assert done.returncode == 0, done.stderr

@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from linkrover.emulator.tap import open_tap
 from linkrover.errors import LinkRoverError
 
 CLONE_NEWUSER = 0x10000000  # include/uapi/linux/sched.h
@@ -54,16 +55,18 @@ class NotPermittedError(LinkRoverError):
 
 
 class Host(msgspec.Struct, frozen=True):
-    """One emulated host: its namespace and its TUN device, as file descriptors, and its IPv4 address."""
+    """One emulated host: its namespace, its TUN device and the tap on it, as file descriptors; its IPv4 address."""
 
     name: str
     address: str
     iface: str
     netns_fd: int
     tun_fd: int
+    tap_fd: int
 
     def close(self) -> None:
         """Give the descriptors back; with its last process the namespace goes too."""
+        os.close(self.tap_fd)
         os.close(self.tun_fd)
         os.close(self.netns_fd)
 
@@ -233,6 +236,7 @@ def make_host(name: str, address: str, iface: str = "wlan0", prefix: int = 24) -
             fcntl.ioctl(tun_fd, TUNSETIFF, struct.pack("16sH22x", iface.encode(), IFF_TUN | IFF_NO_PI))
             _quiet_ipv6()
             _configure(iface, address, prefix)
+            tap_fd = open_tap(iface)
         except OSError as error:
             if tun_fd >= 0:
                 os.close(tun_fd)
@@ -241,7 +245,7 @@ def make_host(name: str, address: str, iface: str = "wlan0", prefix: int = 24) -
                 f"a TUN device in a network namespace ({error.strerror})",
                 "sudo linkrover demo (in a container: --cap-add=NET_ADMIN --device=/dev/net/tun)",
             ) from error
-        return Host(name, address, iface, netns_fd, tun_fd)
+        return Host(name, address, iface, netns_fd, tun_fd, tap_fd)
 
     return _in_thread(body)
 

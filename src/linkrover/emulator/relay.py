@@ -16,7 +16,8 @@ from statistics import median_low
 from typing import NamedTuple, Protocol
 
 from linkrover.emulator.medium import EVERYONE, Fate, Medium
-from linkrover.emulator.stamp_truth import UDP, probe_truth
+from linkrover.emulator.stamp_truth import UDP, is_probe, probe_truth
+from linkrover.emulator.tap import Tap
 from linkrover.records import Now, Record
 
 CHUNK = 16
@@ -29,23 +30,25 @@ ERRORS_KEPT = 20_000
 
 
 class Port(NamedTuple):
-    """One host as the relay sees it."""
+    """One host as the relay sees it. tap: knows when the kernel sent a probe."""
 
     name: str
     address: str
     tun_fd: int
+    tap: Tap | None = None
 
 
 class Packet:
     """What travels through the medium as a tag."""
 
-    __slots__ = ("data", "mono_ns", "sender", "wall_ns")
+    __slots__ = ("data", "mono_ns", "sender", "sent_ns", "wall_ns")
 
     def __init__(self, data: bytes, sender: str, wall_ns: int, mono_ns: int) -> None:
         self.data = data
         self.sender = sender
         self.wall_ns = wall_ns
         self.mono_ns = mono_ns
+        self.sent_ns: int | None = None  # CLOCK_REALTIME, where the kernel told
 
 
 class Link(Protocol):
@@ -147,6 +150,11 @@ class Relay:
                 return
             receiver = EVERYONE
         flow = int.from_bytes(data[20:24], "big") ^ data[9]
+        if data[9] == UDP and is_probe(data):
+            tap = self.ports[packet.sender].tap
+            sent_ns = None if tap is None else tap.sent_ns(data)
+            if sent_ns is not None:
+                packet.sent_ns = sent_ns
         cause = self.medium.offer(packet.mono_ns, packet.sender, receiver, len(data), packet, flow)
         if cause is not None and data[9] == UDP:
             self._probe(packet, None, cause)
@@ -162,6 +170,8 @@ class Relay:
             port = ports.get(receiver)
             if port is None:
                 continue  # a multicast as the router itself hears it
+            # the receiver's kernel stamps the packet while we are still inside write()
+            arrives_ns = time.time_ns() if packet.data[9] == UDP else 0
             try:
                 write(port.tun_fd, packet.data)
             except OSError:
@@ -170,7 +180,7 @@ class Relay:
             now_ns = mono()
             errors.append(now_ns - at_ns)
             if packet.data[9] == UDP:
-                self._probe(packet, now_ns - packet.mono_ns, None)
+                self._probe(packet, arrives_ns - (packet.sent_ns or packet.wall_ns), None)
         self.forwarded += len(fates)
 
     def _probe(self, packet: Packet, delay_ns: int | None, cause: str | None) -> None:

@@ -23,6 +23,7 @@ from linkrover.emulator.medium import Medium
 from linkrover.emulator.presets import Case
 from linkrover.emulator.relay import Link, Port, Relay
 from linkrover.emulator.replay import ReplayLink, Timeline
+from linkrover.emulator.tap import Tap
 from linkrover.emulator.traffic import POSE
 from linkrover.records import LinkTruth, Now, Pose, ProbeTruth, Record
 
@@ -37,6 +38,7 @@ class HostSettings(msgspec.Struct, frozen=True):
     name: str
     address: str
     tun_fd: int
+    tap_fd: int
 
 
 class RelaySettings(msgspec.Struct, frozen=True, kw_only=True):
@@ -143,7 +145,7 @@ def main() -> None:
     else:
         link = ReplayLink(settings.replay, faces)
 
-    ports = [Port(host.name, host.address, host.tun_fd) for host in settings.hosts]
+    ports = [Port(host.name, host.address, host.tun_fd, Tap(host.tap_fd)) for host in settings.hosts]
     relay = Relay(medium, ports, link, truth.take, int(1e9 / settings.tick_hz))
     last_pose_ns = 0
 

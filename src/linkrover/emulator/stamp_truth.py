@@ -9,6 +9,12 @@ UDP = 17
 _PORT = DEFAULT_PORT.to_bytes(2, "big")
 
 
+def is_probe(packet: bytes) -> bool:
+    """Whether a UDP packet goes to or comes from our reflector's port."""
+    header = (packet[0] & 15) * 4
+    return _PORT in (packet[header : header + 2], packet[header + 2 : header + 4])
+
+
 def probe_truth(packet: bytes, sender: str, at: Now, delay_ns: int | None, dropped: str | None) -> ProbeTruth | None:
     """The truth of an IPv4 packet if it is a STAMP test packet on our port, else None.
 

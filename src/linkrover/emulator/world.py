@@ -135,7 +135,7 @@ class World:
         self._forget_truth = self.loop.reader(read_fd, self._read_truth)
         settings = self.settings
         relay = RelaySettings(
-            hosts=tuple(HostSettings(h.name, h.address, h.tun_fd) for h in self._hosts.values()),
+            hosts=tuple(HostSettings(h.name, h.address, h.tun_fd, h.tap_fd) for h in self._hosts.values()),
             case=settings.case,
             seed=settings.seed,
             pose_path=self.path("pose"),
@@ -148,7 +148,7 @@ class World:
         self._start(
             "relay",
             [sys.executable, "-m", "linkrover.emulator.relay_process", self._save("relay.json", relay)],
-            keep=(write_fd, *(host.tun_fd for host in self._hosts.values())),
+            keep=(write_fd, *(fd for host in self._hosts.values() for fd in (host.tun_fd, host.tap_fd))),
         )
         os.close(write_fd)
         self._until(lambda: self._truth_began, "the relay to begin")
