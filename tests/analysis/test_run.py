@@ -107,6 +107,13 @@ def test_recordings_that_do_not_overlap_keep_their_own_figures(tmp_path: Path) -
     assert summary.ends["station"].interfaces["wlan0"].throughput_mbps.mean is not None
 
 
+def test_ends_of_different_cases_are_said_to_disagree(tmp_path: Path) -> None:
+    record_run(tmp_path / "run", ends=(Role.ROBOT,), seconds=10, case="1")
+    record_run(tmp_path / "run", ends=(Role.STATION,), seconds=10, case="2")
+    run = load_run(tmp_path / "run")
+    assert any("disagree on the case" in problem for problem in run.problems)
+
+
 def test_without_probe_or_odometry_the_rest_is_reported(tmp_path: Path) -> None:
     summary = summarise(load_run(record_run(tmp_path / "run", probe=False, pose=False, seconds=30)))
     words = " ".join(summary.problems)

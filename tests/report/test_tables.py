@@ -113,6 +113,7 @@ def test_csv_into_a_folder_gives_every_table_its_file(folder: Path, tmp_path: Pa
     assert report(folder, format="csv", out=tmp_path / "tables", need=("camera: 10 Mbit/s",)) == 0
     names = {p.name for p in (tmp_path / "tables").iterdir()}
     assert {"figures.csv", "table2.csv", "table3.csv", "effects.csv", "needs.csv", "cases.csv"} <= names
+    assert sum(name.startswith("run-") for name in names) == 4
 
 
 def test_the_words_say_which_set_up_and_whether_it_is_sure(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

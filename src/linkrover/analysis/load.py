@@ -279,6 +279,11 @@ def _span(local: dict[str, _Clock], origin: int, problems: list[str]) -> Window:
 
 
 def _say_what_is_missing(ends: dict[str, End], problems: list[str]) -> None:
+    for what in ("case", "trial"):
+        said = {role: getattr(e.manifest, what) for role, e in ends.items() if e.manifest is not None}
+        if len({value for value in said.values() if value is not None}) > 1:
+            words = ", ".join(f"the {role} {value}" for role, value in said.items())
+            problems.append(f"the ends disagree on the {what}: {words}; are they recordings of one run?")
     if all(e.probe is None for e in ends.values()) and not any(e.delays for e in ends.values()):
         problems.append("no probe and no application delay was recorded: delay, loss and outages are unknown")
     if all(e.pose is None for e in ends.values()):

@@ -158,6 +158,10 @@ def _csv(loaded: list[Run], summaries: list[RunSummary], out: Path | None, need:
     from linkrover.report.table import comma_separated
 
     _put(tidy_csv(summaries), out / "figures.csv")
+    taken: set[str] = set()
     for table in build_document(summaries, loaded, need).tables:
-        name = "".join(c if c.isalnum() or c in "-_." else "_" for c in table.name)
+        plain = name = "".join(c if c.isalnum() or c in "-_." else "_" for c in table.name)
+        while name in taken:  # trials of several cases may bear the same run name
+            name = f"{plain}-{len(taken)}"
+        taken.add(name)
         _put(comma_separated(table), out / f"{name}.csv")
