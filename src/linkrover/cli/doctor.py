@@ -6,6 +6,9 @@ import os
 import shutil
 import sys
 from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
 
 from linkrover.doctor.examine import Examination
 from linkrover.doctor.finding import Finding, Status, run_checks
@@ -24,16 +27,18 @@ def doctor(
     key_file: Path | None = None,
     stress_token_file: Path | None = None,
     stress_port: int = STRESS_PORT,
-    json: bool = False,
+    json: Annotated[bool, Parameter(negative=())] = False,
 ) -> int:
     """Check this machine, its radio and the path to the peer; say what to mend, with the exact command.
 
-    Each line is OK, WARN, FAIL or UNKNOWN, with the value found; where something is to be done also why it matters for
-    a robot and what mends it. Nothing is changed. Reading needs no root. Exit status 1 if anything FAILs.
+    Each line is OK, WARN, FAIL or UNKNOWN, with the value found; where
+    something is to be done also why it matters for a robot and what mends it.
+    Nothing is changed. Reading needs no root. Exit status 1 if anything FAILs.
 
-    With --peer the other end must run `linkrover reflect` or an agent with --reflect. The bufferbloat test loads the
-    link and needs the peer's consent token (`linkrover reflect --allow-stress` prints it) in LINKROVER_STRESS_TOKEN or
-    --stress-token-file.
+    With --peer the other end must run `linkrover reflect` or an agent with
+    --reflect. The bufferbloat test loads the link and needs the peer's consent
+    token (`linkrover reflect --allow-stress` prints it) in
+    LINKROVER_STRESS_TOKEN or --stress-token-file.
 
     Args:
         interface: The one to check; by default every wireless one, else the one towards the peer or the default route.

@@ -41,18 +41,22 @@ def probe(
     dscp: int = 0,
     interface: str | None = None,
     source: str | None = None,
-    json: bool = False,
-    quiet: Annotated[bool, Parameter(name=["--quiet", "-q"])] = False,
+    json: Annotated[bool, Parameter(negative=())] = False,
+    quiet: Annotated[bool, Parameter(name=["--quiet", "-q"], negative=())] = False,
 ) -> int:
     """Probe a reflector: round trip, loss in each direction, jitter, delay variation, one-way delay.
 
-    The other end runs `linkrover reflect`, an agent with `--reflect`, or any STAMP (RFC 8762) or TWAMP-Light
-    responder. Probes leave on a fixed schedule and never wait for each other. Without --count or --duration it goes on
-    until Ctrl-C, which ends it with the summary. Exit status: 0 answered, 1 nothing answered, 130 --count or
-    --duration interrupted.
+    The other end runs `linkrover reflect`, an agent with `--reflect`, or any
+    STAMP (RFC 8762) or TWAMP-Light responder. Probes leave on a fixed schedule
+    and never wait for each other. Without --count or --duration it goes on
+    until Ctrl-C, which ends it with the summary. Exit status: 0 answered, 1
+    nothing answered, 130 --count or --duration interrupted.
 
-    Examples: `linkrover probe station`, `linkrover probe 10.0.0.2 --rate 100 --duration 30`,
-    `linkrover probe router --port 862` (other vendors' gear).
+    linkrover probe station
+
+    linkrover probe 10.0.0.2 --rate 100 --duration 30
+
+    linkrover probe router --port 862      (other vendors' gear)
 
     Args:
         host: Reflector: name, address, HOST:PORT or [V6ADDRESS]:PORT.

@@ -6,9 +6,10 @@ import json as json_module
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
+from cyclopts import Parameter
 
 from linkrover.errors import ConfigError
 from linkrover.loop import Loop
@@ -30,17 +31,18 @@ def reflect(
     bind: str = "",
     port: int = DEFAULT_PORT,
     key_file: Path | None = None,
-    allow_stress: bool = False,
+    allow_stress: Annotated[bool, Parameter(negative=())] = False,
     stress_token_file: Path | None = None,
     stress_port: int | None = None,
     duration: float | None = None,
-    json: bool = False,
-    quiet: bool = False,
+    json: Annotated[bool, Parameter(negative=())] = False,
+    quiet: Annotated[bool, Parameter(negative=())] = False,
 ) -> int:
     """Answer probes: a stateful STAMP reflector (RFC 8762), also for TWAMP-Light senders.
 
-    The ping-only station: nothing is recorded here. It answers well-formed test packets, never with more octets than
-    came and not without limit to one source. Runs until Ctrl-C.
+    The ping-only station: nothing is recorded here. It answers well-formed test
+    packets, never with more octets than came and not without limit to one
+    source. Runs until Ctrl-C.
 
     Args:
         bind: Address to listen on; all addresses, IPv4 and IPv6, by default.

@@ -6,9 +6,10 @@ import json as json_module
 import os
 import sys
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+from cyclopts import Parameter
 
 from linkrover.errors import ConfigError
 from linkrover.probe.address import load_key
@@ -27,24 +28,27 @@ def stress(
     profile: Literal["camera", "lidar", "bulk", "tcp", "udp"] = "camera",
     rate: float | None = None,
     seconds: float = 10.0,
-    phase: list[Literal["idle", "up", "down", "both"]] | None = None,
+    phase: Annotated[list[Literal["idle", "up", "down", "both"]] | None, Parameter(negative=())] = None,
     token_file: Path | None = None,
     port: int = DEFAULT_PORT,
     probe_rate: float = 50.0,
     probe_port: int | None = None,
     key_file: Path | None = None,
-    json: bool = False,
+    json: Annotated[bool, Parameter(negative=())] = False,
 ) -> int:
     """Measure round trip and loss while the link is idle, loaded up (to HOST), down, and both ways.
 
-    HOST must consent: there, run `linkrover reflect --allow-stress` (it prints a token) or an agent with
-    --stress-token-file. Load goes to that end only, after both ends have proved that they hold the token. Give the
-    token in the environment variable LINKROVER_STRESS_TOKEN or with --token-file.
+    HOST must consent: there, run `linkrover reflect --allow-stress` (it prints
+    a token) or an agent with --stress-token-file. Load goes to that end only,
+    after both ends have proved that they hold the token. Give the token in the
+    environment variable LINKROVER_STRESS_TOKEN or with --token-file.
 
-    The robot's other traffic suffers while this runs: do not do it while the robot drives among people.
+    The robot's other traffic suffers while this runs: do not do it while the
+    robot drives among people.
 
-    Examples: `LINKROVER_STRESS_TOKEN=... linkrover stress station --profile lidar`,
-    `linkrover stress station --token-file token --profile udp --rate 30`.
+    LINKROVER_STRESS_TOKEN=... linkrover stress station --profile lidar
+
+    linkrover stress station --token-file token --profile udp --rate 30
 
     Args:
         host: The consenting end: name or address.
