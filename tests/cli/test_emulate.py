@@ -88,6 +88,16 @@ def test_a_recorded_drive_is_played_back_as_a_link(tmp_path):
     assert any(isinstance(r, ProbeResult) for r in read_recording(second / "robot").records(ProbeResult))
 
 
+@pytest.mark.netns
+def test_several_robots_share_the_air():
+    packets()
+    done = emulate("6", "--robots", "3", "--", "sleep", "3")
+    assert done.returncode == 0, done.stderr
+    for name in ("robot-2", "robot-3"):
+        (line,) = [line for line in done.stderr.splitlines() if f"{name}>station" in line]
+        assert int(line.split(":")[2].split()[0]) > 50, line
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -95,6 +105,8 @@ def test_a_recorded_drive_is_played_back_as_a_link(tmp_path):
         (["99", "--", "true"], "no such case"),
         (["3", "--distance", "5", "--", "true"], "--trajectory still"),
         (["3", "--trajectory", "still", "--distance", "-1", "--", "true"], "0 to 1000 m"),
+        (["3", "--robots", "2", "--", "true"], "the router or the station"),
+        (["5", "--robots", "11", "--", "true"], "must be 1 to 10"),
         (["3", "--duration", "0", "--", "true"], "above 0"),
         (["3", "--at", "moon", "--", "true"], "robot"),
         (["--replay", "/nonexistent", "--", "true"], "does not exist"),

@@ -100,6 +100,8 @@ WALL = "channel = {plan = {x_min_m = 0.0, x_max_m = 5.0, y_min_m = 0.0, y_max_m 
         (HEAD + "[traffic]\ncommand_hz = 0.0\n" + CASE, "traffic.command_hz"),
         (HEAD + "[traffic.camera]\noctet = 5\nrate_hz = 1\n" + CASE, "'traffic.camera.octet'; did you mean 'octets'?"),
         (HEAD + "[rates]\nwireless_hz = -1.0\n" + CASE, "rates.wireless_hz"),
+        (HEAD + "robots = 11\n" + CASE, "robots = 11: must be 1 to 10"),
+        (HEAD + 'robots = 2\n[[cases]]\nname = "robot-ap-external-5"\n', "access point is the router or the station"),
         (HEAD + "[probe]\nrate_hz = 0.0\n" + CASE, "probe.rate_hz = 0.0: must be 1 to 1000"),
     ],
 )  # fmt: skip
@@ -107,7 +109,7 @@ def test_a_bad_plan_is_refused_with_the_key_and_what_is_allowed(text, words):
     with pytest.raises(ConfigError) as error:
         made(text)
     assert words in str(error.value)
-    assert str(error.value).startswith("p.toml")
+    assert str(error.value).startswith(("p.toml", "robots"))
 
 
 def test_a_plan_that_cannot_be_read_is_named(tmp_path):

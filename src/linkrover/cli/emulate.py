@@ -35,6 +35,7 @@ def emulate(
     trajectory: Trajectory = "out-and-back",
     distance: float | None = None,
     traffic: bool = False,
+    robots: int = 1,
     duration: float | None = None,
     out: Path | None = None,
     replay: Path | None = None,
@@ -70,6 +71,8 @@ def emulate(
         trajectory: How the robot moves: by script here, without needing the link.
         distance: With --trajectory still: metres from the start.
         traffic: Also send the paper's camera, LiDAR and commands; the robot then drives by what comes over the link.
+        robots: Robots in all, 1 to 10: the others send the paper's traffic over the same air. Not in cases where the
+            robot is the access point.
         duration: End COMMAND (SIGTERM) after this many seconds.
         out: Measure and record both ends, and the emulator's truth, into this new folder.
         replay: A recorded run: its RSSI, throughput and outages become the link.
@@ -93,7 +96,7 @@ def emulate(
     from linkrover.experiment.trial import refuse_to_overwrite, truth_manifest
     from linkrover.records import LinkTruth, Record
 
-    settings = _settings(case, seed, trajectory, replay)
+    settings = _settings(case, seed, trajectory, replay, robots)
     if out is not None:
         refuse_to_overwrite(out)
     become_namespace_root()
@@ -123,9 +126,12 @@ def emulate(
             world.start_reflector("station" if at == "robot" else "robot")
         else:
             world.start_agents(out, reflect_both=True)
-        motion = Scripted(settings.route, settings.drive, world.path("pose"), still_m=_still(trajectory, distance))
+        motion = Scripted(
+            settings.route, settings.drive, world.path("pose-robot"), still_m=_still(trajectory, distance)
+        )
         if traffic:
             world.start_traffic()
+        world.start_others()
         beside = None if other is None else world.popen("station" if at == "robot" else "robot", shlex.split(other))
         say(f"{command[0]} runs at the {at}, {ADDRESSES[at]}; case {settings.case.name}, seed {seed}")
         began = time.monotonic()
@@ -202,17 +208,17 @@ def _still(trajectory: Trajectory, distance: float | None) -> float | None:
     return (0.0 if distance is None else distance) if trajectory == "still" else None
 
 
-def _settings(case: str, seed: int, trajectory: Trajectory, replay: Path | None) -> WorldSettings:
+def _settings(case: str, seed: int, trajectory: Trajectory, replay: Path | None, robots: int) -> WorldSettings:
     from linkrover.emulator import presets
     from linkrover.emulator.robot import OUT_AND_BACK, ROUTES
     from linkrover.emulator.world import WorldSettings
 
     route = ROUTES.get(trajectory, OUT_AND_BACK)
     if replay is None:
-        return WorldSettings(case=presets.find(case), seed=seed, route=route)
+        return WorldSettings(case=presets.find(case), seed=seed, route=route, robots=robots)
     from linkrover.bag.reading import read_recording
     from linkrover.emulator.replay import CASE, build
 
     parts = {end: replay / end for end in ("robot", "station") if (replay / end).exists()} or {"robot": replay}
     timeline = build(str(replay), {end: list(read_recording(part).records()) for end, part in parts.items()})
-    return WorldSettings(case=CASE, seed=seed, route=route, replay=timeline)
+    return WorldSettings(case=CASE, seed=seed, route=route, replay=timeline, robots=robots)

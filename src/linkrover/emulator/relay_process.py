@@ -14,6 +14,7 @@ import socket
 import sys
 import time
 from collections import deque
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -28,6 +29,7 @@ from linkrover.emulator.traffic import POSE
 from linkrover.records import LinkTruth, Now, Pose, ProbeTruth, Record
 
 PR_SET_TIMERSLACK = 29
+POSE_TRUTH_NS = 45_000_000  # the true pose about 20 times a second
 TRUTH_HELD = 50_000
 """Truth records kept while the pipe is full; beyond, the oldest go and are counted."""
 
@@ -42,12 +44,16 @@ class HostSettings(msgspec.Struct, frozen=True):
 
 
 class RelaySettings(msgspec.Struct, frozen=True, kw_only=True):
-    """What the process is told. driver_paths: by end, the emulated /proc/net/wireless. tick_hz: radio and truth."""
+    """What the process is told.
+
+    pose_paths: by robot, a Unix datagram socket to listen on. driver_paths: by end, the emulated /proc/net/wireless.
+    tick_hz: radio and truth.
+    """
 
     hosts: tuple[HostSettings, ...]
     case: Case
     seed: int
-    pose_path: str
+    pose_paths: dict[str, str]
     driver_paths: dict[str, str]
     truth_fd: int
     iface: str = "wlan0"
@@ -103,10 +109,10 @@ class DriverFaces:
 class ChannelLink:
     """The case's channel over the true places of the nodes."""
 
-    def __init__(self, case: Case, seed: int, faces: DriverFaces) -> None:
+    def __init__(self, case: Case, seed: int, faces: DriverFaces, robots: tuple[str, ...]) -> None:
         self._channel = case.make_channel(seed)
         self._faces = faces
-        self.places: dict[str, tuple[float, float]] = {"robot": (0.0, 0.0), **case.places}
+        self.places: dict[str, tuple[float, float]] = {**dict.fromkeys(robots, (0.0, 0.0)), **case.places}
         self._start_ns = time.monotonic_ns()
 
     def tick(self, medium: Medium, at: Now) -> None:
@@ -126,10 +132,11 @@ def main() -> None:
     """Entry point; runs until SIGTERM."""
     settings = msgspec.json.decode(Path(sys.argv[1]).read_bytes(), type=RelaySettings)
     case = settings.case
-    medium = case.make_medium(settings.seed, start_ns=time.monotonic_ns())
+    robots = tuple(settings.pose_paths)
+    medium = case.make_medium(settings.seed, robots, start_ns=time.monotonic_ns())
     truth = TruthPipe(settings.truth_fd)
     faces = DriverFaces(settings, medium)
-    poses = _pose_socket(settings.pose_path)
+    poses = {name: _pose_socket(path) for name, path in settings.pose_paths.items()}
     # the kernel may wake us up to 50 us late by default
     ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1000)
     try:
@@ -140,7 +147,7 @@ def main() -> None:
     link: Link
     places: dict[str, tuple[float, float]] = {}
     if settings.replay is None:
-        link = channel = ChannelLink(case, settings.seed, faces)
+        link = channel = ChannelLink(case, settings.seed, faces, robots)
         places = channel.places
     else:
         link = ReplayLink(settings.replay, faces)
@@ -149,19 +156,20 @@ def main() -> None:
     relay = Relay(medium, ports, link, truth.take, int(1e9 / settings.tick_hz))
     last_pose_ns = 0
 
-    def moved() -> None:
+    def moved(name: str) -> None:
         nonlocal last_pose_ns
-        x, y, heading, forward, turn = POSE.unpack(poses.recv(POSE.size))
-        places["robot"] = (x, y)
+        x, y, heading, forward, turn = POSE.unpack(poses[name].recv(POSE.size))
+        places[name] = (x, y)
         now_ns = time.monotonic_ns()
-        if now_ns - last_pose_ns >= 1e9 / settings.tick_hz - 1e7:
+        if name == "robot" and now_ns - last_pose_ns >= POSE_TRUTH_NS:
             last_pose_ns = now_ns
             truth.take(
                 Pose(wall_ns=time.time_ns(), mono_ns=now_ns, x_m=x, y_m=y, heading_rad=heading,
                      forward_m_per_s=forward, turn_rad_per_s=turn, frame="map")
             )  # fmt: skip
 
-    relay.reader(poses.fileno(), moved)
+    for name, handle in poses.items():
+        relay.reader(handle.fileno(), partial(moved, name))
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: relay.stop())
     relay.run()

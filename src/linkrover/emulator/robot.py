@@ -123,6 +123,20 @@ class Route(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
             )
         )
 
+    def turned(self, angle_rad: float) -> Route:
+        """The same route, turned about its start: where another robot drives."""
+        start, cos, sin = self.waypoints[0], math.cos(angle_rad), math.sin(angle_rad)
+        return Route(
+            waypoints=tuple(
+                Waypoint(
+                    start.x_m + cos * (p.x_m - start.x_m) - sin * (p.y_m - start.y_m),
+                    start.y_m + sin * (p.x_m - start.x_m) + cos * (p.y_m - start.y_m),
+                    p.stop_s,
+                )
+                for p in self.waypoints
+            )
+        )
+
     def fitted(self, duration_s: float, drive: Drive | None = None) -> Route:
         """The route made smaller (never larger) so that the drive is over in duration_s.
 

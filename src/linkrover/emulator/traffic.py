@@ -81,6 +81,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     pose_path: str  # the relay: where the robot is
     feed_path: str | None  # the robot's agent: odometry and commands
     result_path: str  # a JSON file each program writes at its end, with its role for {role}
+    port_offset: int = 0  # added to every port: each robot talks to a program of its own at the station
     done_path: str  # appears when the operator has driven the whole route
 
 
@@ -277,13 +278,13 @@ def robot_program(settings: Settings) -> tuple[list[Coroutine[Any, Any, None]], 
         await receive(connection, commands, commanded)
 
     host = settings.station_address
-    work = [every(ODOMETRY_HZ, step), keep_connected((host, COMMAND_PORT), hear)]
+    work = [every(ODOMETRY_HZ, step), keep_connected((host, COMMAND_PORT + settings.port_offset), hear)]
     for stream, sender, port in ((traffic.camera, camera, CAMERA_PORT), (traffic.lidar, lidar, LIDAR_PORT)):
         if stream.rate_hz > 0:
             payload = bytes(stream.octets)
             work += [
                 every(stream.rate_hz, lambda s=sender, p=payload: s.offer(p)),  # type: ignore[misc]
-                keep_connected((host, port), sender.pump),
+                keep_connected((host, port + settings.port_offset), sender.pump),
             ]
 
     def result() -> dict[str, Any]:
@@ -327,11 +328,12 @@ def station_program(settings: Settings) -> tuple[list[Coroutine[Any, Any, None]]
         await receive(connection, lidar)
 
     host, tasks = settings.station_address, set[asyncio.Task[None]]()
+    offset = settings.port_offset
     work = [
         every(settings.traffic.command_hz, look),
-        listen((host, CAMERA_PORT), count_camera, tasks),
-        listen((host, LIDAR_PORT), count_lidar, tasks),
-        listen((host, COMMAND_PORT), commands.pump, tasks),
+        listen((host, CAMERA_PORT + offset), count_camera, tasks),
+        listen((host, LIDAR_PORT + offset), count_lidar, tasks),
+        listen((host, COMMAND_PORT + offset), commands.pump, tasks),
     ]
     return work, lambda: {"camera": camera, "lidar": lidar, "commands": commands.stats, "drive_done": operator.done}
 

@@ -25,12 +25,14 @@ from linkrover.emulator.replay import Timeline
 from linkrover.emulator.robot import Drive, Route
 from linkrover.emulator.traffic import Settings as TrafficSettings
 from linkrover.emulator.traffic import Traffic
-from linkrover.errors import LinkRoverError
+from linkrover.errors import ConfigError, LinkRoverError
 from linkrover.loop import Loop
 from linkrover.probe.packet import DEFAULT_PORT
 from linkrover.records import Record, Role
 
 ADDRESSES = {"station": "10.77.0.1", "robot": "10.77.0.2"}
+OTHERS = "10.77.0.{}"  # robot-2 is 10.77.0.12
+ROBOTS_MOST = 10
 IFACE = "wlan0"
 START_LIMIT_S = 30.0
 STOP_LIMIT_S = 10.0
@@ -45,8 +47,9 @@ class EmulationError(LinkRoverError):
 class WorldSettings(msgspec.Struct, frozen=True, kw_only=True):
     """What to emulate.
 
-    replay: a recorded run as the link, instead of the case's channel. run, trial: for the manifests. rates, probe: what
-    the agents' configuration says otherwise than by default.
+    robots: how many; all but the first only send the traffic and drive elsewhere, agents are at the first and at the
+    station. replay: a recorded run as the link, instead of the case's channel. run, trial: for the manifests. rates,
+    probe: what the agents' configuration says otherwise than by default.
     """
 
     case: Case
@@ -57,9 +60,23 @@ class WorldSettings(msgspec.Struct, frozen=True, kw_only=True):
     trial: int | None = None
     run: str | None = None
     replay: Timeline | None = None
+    robots: int = 1
     access_point_shows_signal: bool = True
     rates: dict[str, float] = {}
     probe: dict[str, Any] = {}
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.robots <= ROBOTS_MOST:
+            raise ConfigError(f"robots = {self.robots}: must be 1 to {ROBOTS_MOST}")
+        if self.robots > 1 and (self.case.access_point == "robot" or self.replay is not None):
+            raise ConfigError(
+                f"robots = {self.robots}: several robots need a case whose access point is the router or the station"
+            )
+
+    @property
+    def robot_names(self) -> tuple[str, ...]:
+        """robot, robot-2, ..."""
+        return ("robot", *(f"robot-{number}" for number in range(2, self.robots + 1)))
 
 
 class Part:
@@ -123,11 +140,17 @@ class World:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
+    @property
+    def addresses(self) -> dict[str, str]:
+        """IPv4 addresses of all hosts."""
+        more = enumerate(self.settings.robot_names[1:], start=2)
+        return {**ADDRESSES, **{name: OTHERS.format(10 + number) for number, name in more}}
+
     # ---- starting
 
     def start_link(self) -> None:
         """Hosts, relay, driver texts. Returns once packets can pass."""
-        for name, address in ADDRESSES.items():
+        for name, address in self.addresses.items():
             self._hosts[name] = make_host(name, address, IFACE)
         read_fd, write_fd = os.pipe()
         os.set_blocking(read_fd, False)
@@ -138,7 +161,7 @@ class World:
             hosts=tuple(HostSettings(h.name, h.address, h.tun_fd, h.tap_fd) for h in self._hosts.values()),
             case=settings.case,
             seed=settings.seed,
-            pose_path=self.path("pose"),
+            pose_paths={name: self.path(f"pose-{name}") for name in settings.robot_names},
             driver_paths={end: self.path(f"{end}.wireless") for end in ADDRESSES},
             truth_fd=write_fd,
             iface=IFACE,
@@ -169,23 +192,34 @@ class World:
 
     def start_traffic(self) -> None:
         """Robot, operator and their streams."""
+        self._traffic("robot", 0)
+
+    def start_others(self) -> None:
+        """The further robots with their operators and streams: they share the air."""
+        for index, name in enumerate(self.settings.robot_names[1:], start=1):
+            self._traffic(name, index)
+
+    def _traffic(self, name: str, index: int) -> None:
+        tail = "" if index == 0 else f"-{name}"
         settings = TrafficSettings(
-            robot_address=ADDRESSES["robot"],
+            robot_address=self.addresses[name],
             station_address=ADDRESSES["station"],
-            route=self.settings.route,
+            route=self.settings.route.turned(index * 0.7),
             drive=self.settings.drive,
             traffic=self.settings.traffic,
-            seed=self.settings.seed,
-            eyes_path=self.path("eyes"),
-            pose_path=self.path("pose"),
-            feed_path=self.path("feed"),
-            result_path=self.path("traffic-{role}.json"),
-            done_path=self.path("done"),
+            seed=self.settings.seed + index,
+            eyes_path=self.path(f"eyes{tail}"),
+            pose_path=self.path(f"pose-{name}"),
+            feed_path=self.path("feed") if index == 0 else None,
+            result_path=self.path(f"traffic{tail}-{{role}}.json"),
+            done_path=self.path(f"done{tail}"),
+            port_offset=10 * index,
         )
-        file = self._save("traffic.json", settings)
+        file = self._save(f"traffic{tail}.json", settings)
         for end in ("station", "robot"):
-            command = [sys.executable, "-m", "linkrover.emulator.traffic", file, end]
-            self._start(f"{end}'s traffic", command, host=self._hosts[end])
+            host = self._hosts["station" if end == "station" else name]
+            what = f"{end}'s traffic" if index == 0 else f"{end}'s traffic of {name}"
+            self._start(what, [sys.executable, "-m", "linkrover.emulator.traffic", file, end], host=host)
 
     def popen(self, end: str, command: Sequence[str]) -> subprocess.Popen[bytes]:
         """Start the user's program at one end, on the terminal of this process."""
@@ -280,7 +314,7 @@ class World:
             with contextlib.suppress(OSError):
                 path.write_text(Path("/etc/hosts").read_text())
             with path.open("a") as file:
-                file.writelines(f"\n{address} {name}\n" for name, address in ADDRESSES.items())
+                file.writelines(f"\n{address} {name}\n" for name, address in self.addresses.items())
         return str(path)
 
     def _save(self, name: str, settings: msgspec.Struct) -> str:

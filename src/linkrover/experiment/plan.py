@@ -79,13 +79,16 @@ class Campaign(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """See the module's text. duration_s: of a trial; absent = until the drive is over."""
+    """See the module's text. duration_s: of a trial; absent = until the drive is over. robots: how many share the
+    air; all but the first only send the traffic (real time only).
+    """
 
     name: str
     cases: tuple[CasePlan, ...]
     trials: int = 1
     seed: int = 1
     duration_s: float | None = None
+    robots: int = 1
     note: str = ""
     trajectory: Trajectory = Trajectory()
     traffic: Traffic = Traffic()
@@ -312,6 +315,7 @@ def world_settings(plan: Plan, run: TrialPlan, duration_s: float | None, file: s
         route=route if seconds is None else route.fitted(seconds, trajectory.drive),
         drive=trajectory.drive,
         traffic=plan.traffic,
+        robots=plan.robots,
         trial=run.trial,
         run=f"{plan.name}/{run.folder}",
         access_point_shows_signal=run.case.signal_at_access_point,

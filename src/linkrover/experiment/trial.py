@@ -14,7 +14,7 @@ from linkrover import __version__
 from linkrover.bag import Recorder
 from linkrover.emulator.agreement import Agreement, compare
 from linkrover.emulator.world import World, WorldSettings
-from linkrover.errors import LinkRoverError
+from linkrover.errors import ConfigError, LinkRoverError
 from linkrover.records import (
     LinkTruth,
     LinkUtilization,
@@ -128,6 +128,7 @@ def run_trial(
 
     Raises:
         LinkRoverError: a part could not be started or died; recordings made so far stay.
+        KeyboardInterrupt: the user ended it before both ends recorded, so that there is nothing to check.
     """
     refuse_to_overwrite(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -141,7 +142,7 @@ def run_trial(
         recorder.take(record)
         watch.take(record)
 
-    interrupted = False
+    interrupted = driving = False
     began = time.monotonic()
     try:
         with World(settings, out, take) as world:
@@ -150,8 +151,10 @@ def run_trial(
                 world.start_link()
                 world.start_agents(out)
                 world.start_traffic()
+                world.start_others()
                 began = time.monotonic()
                 watch.view.stage = "driving"
+                driving = True
 
                 def each() -> bool:
                     watch.view.elapsed_s = time.monotonic() - began
@@ -169,6 +172,8 @@ def run_trial(
             notes, summary = world.notes, world.summary
     finally:
         recorder.close()
+    if interrupted and not driving:
+        raise KeyboardInterrupt
     watch.view.stage = "checking"
     show(watch.view)
     agreement = check_agreement(out)
@@ -202,6 +207,8 @@ def run_virtual_trial(
     """
     from linkrover.emulator.virtual import VirtualSettings, run
 
+    if settings.robots > 1:
+        raise ConfigError(f"robots = {settings.robots}: virtual time knows one robot; leave out --virtual")
     refuse_to_overwrite(out)
     out.mkdir(parents=True, exist_ok=True)
     total_s = duration_s if duration_s is not None else settings.route.nominal_s(settings.drive) + 3
