@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 if TYPE_CHECKING:
+    from rich.status import Status
+
     from linkrover.analysis.run import Run
     from linkrover.analysis.summary import RunSummary
+    from linkrover.report.floor import Wall
 
 Format = Literal["html", "md", "latex", "csv", "json"]
 
@@ -72,15 +75,14 @@ def report(
     if not runs:
         print("linkrover: give at least one RUN: linkrover report RUN...", file=sys.stderr)
         return 2
-    from linkrover.radio.walls import FloorPlan, load_floor_plan
-
-    plan = load_floor_plan(floor_plan) if floor_plan is not None else FloorPlan()
-    from rich.console import Console
-
     from linkrover.analysis.summary import summarise
 
-    console = Console(stderr=True)
-    with console.status("looking for runs") if console.is_terminal else nullcontext() as status:
+    walls: list[Wall] = []
+    if floor_plan is not None:
+        from linkrover.radio.walls import load_floor_plan
+
+        walls = [(w.x1_m, w.y1_m, w.x2_m, w.y2_m) for w in load_floor_plan(floor_plan).walls]
+    with _status() as status:
 
         def say(text: str) -> None:
             if status is not None:
@@ -103,7 +105,6 @@ def report(
             from linkrover.report.views import write_html
 
             say("drawing the report")
-            walls = [(w.x1_m, w.y1_m, w.x2_m, w.y2_m) for w in plan.walls]
             write_html(loaded, summaries, out or Path("linkrover-report.html"), need, walls)
     for path, error in failed:
         print(f"linkrover: left out: {path}: {error}", file=sys.stderr)
@@ -132,6 +133,17 @@ def report(
         else:
             print_document(document)
     return 1 if failed else 0
+
+
+def _status() -> AbstractContextManager[Status | None]:
+    """A line on the terminal that says what is going on; nothing where there is none."""
+    import sys
+
+    if not sys.stderr.isatty():
+        return nullcontext()
+    from rich.console import Console
+
+    return Console(stderr=True).status("looking for runs")
 
 
 def _put(text: str, out: Path | None) -> None:
