@@ -214,3 +214,21 @@ def test_no_file_descriptor_is_left_open():
     for _ in range(5):
         Loop().close()
     assert sum(1 for _ in Path("/proc/self/fd").iterdir()) == before
+
+
+def test_what_another_thread_asks_for_is_done_and_none_of_it_is_lost():
+    loop = Loop()
+    done: list[int] = []
+    many = 20_000
+
+    def ask() -> None:
+        for number in range(many):
+            loop.call_soon(lambda number=number: done.append(number))
+        loop.call_soon(loop.stop)
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    loop.run(time.monotonic_ns() + 60_000_000_000)
+    asking.join()
+    loop.close()
+    assert done == list(range(many))

@@ -6,6 +6,7 @@ slots that passed meanwhile are skipped and counted, never run in a burst.
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import heapq
 import os
@@ -67,7 +68,7 @@ class Loop:
         self._heap: list[tuple[int, int, Callable[[], None]]] = []
         self._order = 0
         self._stopped = False
-        self._soon: list[Callable[[], None]] = []
+        self._soon: collections.deque[Callable[[], None]] = collections.deque()
 
     def every(self, period_ns: int, callback: Callable[[Slot], None], *, start_ns: int | None = None) -> Job:
         """Call back at start_ns + k * period_ns (CLOCK_MONOTONIC), start_ns defaulting to now.
@@ -164,6 +165,7 @@ class Loop:
     def _drain_wake(self) -> None:
         with contextlib.suppress(BlockingIOError):
             os.read(self._wake_read, 4096)
-        soon, self._soon = self._soon, []
-        for callback in soon:
-            callback()
+        # one at a time: another thread may add while this runs, and nothing of it may be lost; only as many as there
+        # are now, so that callbacks which call again leave the others their turn
+        for _ in range(len(self._soon)):
+            self._soon.popleft()()
