@@ -116,9 +116,7 @@ def _ip(*arguments: str) -> None:
 def cpu_s(pid: int) -> float:
     """Of the process and of the children it has waited for, seconds (proc(5): utime, stime, cutime, cstime)."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    own_ns = sum(
-        int(task.joinpath("schedstat").read_text().split()[0]) for task in Path(f"/proc/{pid}/task").iterdir()
-    )
+    own_ns = sum(int(task.joinpath("schedstat").read_text().split()[0]) for task in Path(f"/proc/{pid}/task").iterdir())
     return own_ns / 1e9 + (int(fields[13]) + int(fields[14])) / os.sysconf("SC_CLK_TCK")
 
 
