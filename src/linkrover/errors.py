@@ -30,3 +30,23 @@ class MissingExtraError(LinkRoverError):
         super().__init__(
             f"this needs the '{extra}' extra ({missing} is not installed): pip install 'linkrover[{extra}]'"
         )
+
+
+EXTRA_OF_MODULE = {
+    "arch": "report",
+    "matplotlib": "report",
+    "numpy": "report",
+    "plotly": "report",
+    "polars": "report",
+    "prometheus_client": "live",
+    "rosbags": "report",
+    "scipy": "report",
+    "sklearn": "report",
+}
+"""Which extra brings a module that the base install lacks."""
+
+
+def missing_extra(error: ModuleNotFoundError) -> MissingExtraError | None:
+    """The same in a user's words; None if the module belongs to no extra (then it is a fault of ours)."""
+    module = (error.name or "").partition(".")[0]
+    return MissingExtraError(EXTRA_OF_MODULE[module], module) if module in EXTRA_OF_MODULE else None

@@ -119,6 +119,26 @@ def test_ctrl_c_leaves_whole_recordings_and_nothing_else(tmp_path, runtime):
 
 
 @pytest.mark.netns
+def test_ctrl_c_before_it_drives_ends_it_without_a_complaint(tmp_path, runtime):
+    packets()
+    out = tmp_path / "run"
+    process = subprocess.Popen(
+        [*LINKROVER, "demo", "--out", str(out)], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    for line in process.stdout:
+        if "starting" in line:
+            break
+    process.send_signal(signal.SIGINT)
+    rest = process.stdout.read()
+    process.stdout.close()
+    assert process.wait(60) == 130, rest
+    assert "Interrupted" in rest
+    assert "does not exist" not in rest
+    assert descendants(str(runtime)) == []
+    assert list((runtime / "linkrover").iterdir()) == []
+
+
+@pytest.mark.netns
 def test_after_kill_9_the_processes_end_the_recordings_are_readable_and_clean_removes_the_rest(tmp_path, runtime):
     packets()
     out = tmp_path / "run"

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkrover.errors import LinkRoverError, MissingExtraError
+from linkrover.errors import LinkRoverError, missing_extra
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -127,7 +127,9 @@ def write_report(
 
             loaded, failed = load_all(runs)
             for path, error in failed:
-                console.print(f"left out of the report: {path}: {error}", soft_wrap=True)
+                console.print(f"left out of the report: {path}: {error}", soft_wrap=True, markup=False)
+            if not loaded:
+                return None, "No report: nothing that was recorded can be joined"
             summaries = [summarise(run) for run in loaded]
             write_html(loaded, summaries, page)
         if table:
@@ -135,7 +137,10 @@ def write_report(
     except LinkRoverError as error:
         return None, f"No report: {error}"
     except ModuleNotFoundError as error:
-        return None, f"No report: {MissingExtraError('report', error.name or 'a package')}"
+        extra = missing_extra(error)
+        if extra is None:
+            raise
+        return None, f"No report: {extra}"
     return page, None
 
 

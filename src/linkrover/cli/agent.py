@@ -60,7 +60,7 @@ def agent(
 
     Run one at the robot and one at the station. The robot probes the station, which reflects:
 
-    station$ linkrover agent --interface eth0 --role station --reflect --record runs/001
+    station$ linkrover agent -i eth0 --role station --reflect --record runs/001
 
     robot$ linkrover agent --interface wlan0 --peer STATION --record runs/001
 
@@ -106,7 +106,7 @@ def agent(
     probe_rate
         Probes per second to each peer, 1 to 1000; 0 = off. [default: 10]
     port
-        UDP port on which --reflect listens.
+        UDP port on which --reflect listens, 8620 by default.
     key_file
         File with the shared key of authenticated probes (RFC 8762), at both ends.
     stress_token_file

@@ -51,7 +51,7 @@ def demo(
     """
     from rich.console import Console
 
-    console = Console(stderr=json, highlight=False)
+    console = Console(stderr=json, highlight=False, markup=False)
     if clean:
         return _clean()
     if not duration >= SHORTEST_S:
@@ -78,11 +78,18 @@ def demo(
         f"Robot and station as {how}, joined by an emulated link: case {setup.name}, {duration:g} s, seed {seed}.",
         soft_wrap=True,
     )
-    with interruptible(), progress(console) as show:
-        outcome = run(settings, out, duration_s=duration, show=show)
-    for note in outcome.notes:
-        console.print(f"Note: {note}.", soft_wrap=True)
-    return _finish(console, out, outcome, json)
+    with interruptible():
+        try:
+            with progress(console) as show:
+                outcome = run(settings, out, duration_s=duration, show=show)
+            for note in outcome.notes:
+                console.print(f"Note: {note}.", soft_wrap=True)
+            return _finish(console, out, outcome, json)
+        except KeyboardInterrupt:
+            # before both ends recorded, or while the report was being made
+            stays = f"; what was recorded is in {out}" if out.exists() else ""
+            console.print(f"Interrupted{stays}.", soft_wrap=True)
+            return 130
 
 
 def _finish(console: Console, out: Path, outcome: Outcome, as_json: bool) -> int:

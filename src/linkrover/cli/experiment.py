@@ -159,7 +159,7 @@ def run(
         console.print(f"Missing: {', '.join(missing)}. The same command goes on there.", soft_wrap=True)
     if whole:
         page, problem = write_report(console, whole, out / "report.html", table=False)
-        console.print(f"Report: {page}" if page is not None else str(problem), soft_wrap=True)
+        console.print(f"Report: {page}" if page is not None else str(problem), soft_wrap=True, markup=False)
     return 1 if missing else 0
 
 
@@ -356,9 +356,9 @@ def _finish(console: Console, runs: list[Run], out: Path, seconds: float, as_jso
             texts = "; ".join(f"{f.what} by {f.difference:+.2f} {f.difference_unit}" for f in wrong)
             console.print(f"  {folder}: differs: {texts}", soft_wrap=True)
         for run in failed:
-            console.print(f"  {run.plan.folder}: failed: {run.problem}", soft_wrap=True)
+            console.print(f"  {run.plan.folder}: failed: {run.problem}", soft_wrap=True, markup=False)
         if problem is not None:
-            console.print(problem, soft_wrap=True)
+            console.print(problem, soft_wrap=True, markup=False)
         if page is not None:
             console.print(f"Report: {page}", soft_wrap=True)
     return 0 if not failed and not disagree else 1

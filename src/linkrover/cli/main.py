@@ -8,7 +8,8 @@ import sys
 from cyclopts import App
 
 from linkrover import __version__
-from linkrover.errors import ConfigError, LinkRoverError
+from linkrover.cli._help import HelpFormatter
+from linkrover.errors import ConfigError, LinkRoverError, missing_extra
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -20,6 +21,7 @@ app = App(
     help="Measures a mobile robot's Wi-Fi link at both ends while it drives, records it, and says what happened.",
     help_epilogue="Start with: linkrover demo (no radio, no ROS needed). Exit status: 0 done, 1 failed or a stated "
     "limit broken, 2 wrong usage, 130 interrupted.",
+    help_formatter=HelpFormatter(),
     help_format="plaintext",  # the default reads help as Markdown, whose parser costs a third of the start-up time
 )
 
@@ -48,7 +50,7 @@ for _name, _target, _help in VERBS:
 
 
 def main() -> None:
-    """Entry point: runs the verb, turns LinkRoverError into one line and exit status 1 (2: wrong usage)."""
+    """Entry point: runs the verb, turns what a user can mend into one line and exit status 1 (2: wrong usage)."""
     try:
         app()
     except ConfigError as error:
@@ -63,3 +65,15 @@ def main() -> None:
         # the reader of our output went away (head, less); nothing is left to say
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
+    except ModuleNotFoundError as error:
+        extra = missing_extra(error)
+        if extra is None:
+            raise
+        print(f"linkrover: {extra}", file=sys.stderr)
+        sys.exit(EXIT_FAILED)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        # a file or folder the user named: not there, not his, or the disk is full
+        print(f"linkrover: {error.filename}: {error.strerror}", file=sys.stderr)
+        sys.exit(EXIT_FAILED)
