@@ -24,5 +24,6 @@ export PATH=/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LC_ALL=C.UTF-8
 echo "guest: up after $($bb cut -d' ' -f1 /root/proc/uptime) s"
 $bb chroot /root /bin/sh /result/job
 echo "$?" > /root/result/exit
+$bb dmesg > /root/result/dmesg
 $bb sync
 $bb poweroff -f

@@ -12,9 +12,10 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from linkrover.records import EventKind, LinkEvent
+from linkrover.records import EventKind, LinkEvent, ScanSnapshot
 from linkrover.sources.nl80211 import Nl80211, RadioSample
 from linkrover.sources.nl80211_events import RadioEvents
+from linkrover.sources.nl80211_scan import Scanner
 
 MODULE = Path("/guest-modules/mac80211_hwsim.ko")
 DEBUG = Path("/sys/kernel/debug/ieee80211")
@@ -257,6 +258,20 @@ class Eye:
     def close(self) -> None:
         """Give back the socket."""
         self.nl.close()
+
+
+def scan(radio: Radio, *frequencies_mhz: int) -> ScanSnapshot:
+    """One scan by our own scanner (`iw scan` at times spins for ever in this guest)."""
+    with inside(radio.ns):
+        scanner, reader = Scanner(), Nl80211()
+        ours = reader.interface(radio.iface)
+        assert ours.ifindex is not None
+        scanner.start(ours.ifindex, frequencies_mhz)
+        found = wait_for("the end of the scan", lambda: scanner.ready(radio.iface, ours), 30)
+    scanner.close()
+    reader.close()
+    assert isinstance(found, ScanSnapshot)
+    return found
 
 
 class Ear:

@@ -14,7 +14,7 @@ from linkrover.sources.genetlink import Genetlink
 from linkrover.sources.netlink import NetlinkError, pack, u32
 from linkrover.sources.nl80211_events import GROUPS
 
-from .air import PASSPHRASE, Air, Radio, datagrams, inside, radios, run
+from .air import PASSPHRASE, Air, Radio, datagrams, inside, radios, run, scan
 
 NAMESPACES = ["robot", "station", "robot2"]
 RATES = {
@@ -75,7 +75,7 @@ def main() -> None:
         datagrams("station", "10.1.0.1", 150)
         datagrams("robot", "10.1.0.2", 150)
         time.sleep(0.5)
-        run("iw", "dev", station.iface, "scan", "freq", 5180, ns="station")
+        scan(station, 5180)
         found[name] = {radio.ns: _answers(radio) for radio in (robot, station)}
         air.close()
     found["events"] = _events(robot, station, robot2)

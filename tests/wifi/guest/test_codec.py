@@ -11,7 +11,7 @@ import pytest
 
 from linkrover.records import Unknown
 
-from .air import PASSPHRASE, Air, Eye, Radio, datagrams, inside, run, wait_for
+from .air import PASSPHRASE, Air, Eye, Radio, datagrams, inside, run, scan, wait_for
 from .iw_text import bitrate, stations, surveys
 
 # Our field -> iw's words and the unit after the number; these grow with traffic, so the link is left idle meanwhile.
@@ -105,7 +105,7 @@ def test_power_save_is_followed(station: Radio, eyes: dict[str, Eye]):
 
 
 def test_survey_agrees_with_iw_and_noise_is_negative(station: Radio, eyes: dict[str, Eye]):
-    run("iw", "dev", station.iface, "scan", "freq", 2412, 5180, ns="station")  # this driver surveys what it scans
+    scan(station, 2412, 5180)  # this driver surveys what it scans
     ours = eyes["station"].read().surveys
     theirs = surveys(run("iw", "dev", station.iface, "survey", "dump", ns="station"))
     assert len(ours) == len(theirs) > 0
