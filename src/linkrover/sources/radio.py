@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import time
 from pathlib import Path
 
@@ -14,6 +15,11 @@ from .nl80211 import GONE, Nl80211
 from .wireless import WextSource
 
 _TRY_AGAIN_NS = 5_000_000_000  # a driver may be loaded later
+_REASONS = {
+    errno.ETIMEDOUT: Unknown.TIMED_OUT,
+    errno.EPERM: Unknown.NOT_PERMITTED,
+    errno.EACCES: Unknown.NOT_PERMITTED,
+}
 _READINGS = ("connected", "rssi_dbm", "noise_dbm", "link_quality", "tx_failed", "missed_beacons")
 
 
@@ -49,11 +55,12 @@ class RadioSource:
         try:
             found = nl.read_index(self._watch.iface, place.index, at)
         except NetlinkError as error:
-            if error.code in GONE:  # wired, or moved to another namespace in this very moment
+            # Wired, or moved to another namespace in this very moment; or a driver that does not tell of its peers.
+            if error.code in (*GONE, errno.EOPNOTSUPP):
                 self._not_here = device
                 return self._by_extensions()
             self.last_error = error
-            return [self._unreadable(Unknown.TIMED_OUT)]
+            return [self._unreadable(_REASONS.get(error.code, Unknown.UNSUPPORTED))]
         except ParseError as error:
             self.last_error = error
             return [self._unreadable(Unknown.UNSUPPORTED)]
