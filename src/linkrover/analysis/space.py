@@ -194,6 +194,7 @@ def surface(run: Run, quantity: str = "rssi", resolution_m: float = 0.5, margin_
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
+    from threadpoolctl import threadpool_limits
 
     found = along_the_way(run, quantity)
     if found is None:
@@ -204,13 +205,14 @@ def surface(run: Run, quantity: str = "rssi", resolution_m: float = 0.5, margin_
     level, scale = float(values.mean()), float(values.std()) or 1.0
     kernel = ConstantKernel(1.0, (0.05, 20)) * Matern(3.0, (0.5, 50), nu=1.5) + WhiteKernel(0.1, (1e-3, 5))
     model = GaussianProcessRegressor(kernel, random_state=0)
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), threadpool_limits(1):  # matrices this small only wait for each other's threads
         warnings.simplefilter("ignore", ConvergenceWarning)  # a bound reached is a bound kept
         model.fit(np.stack([x, y], axis=1), (values - level) / scale)
     xs = np.arange(x.min() - margin_m, x.max() + margin_m + resolution_m, resolution_m)
     ys = np.arange(y.min() - margin_m, y.max() + margin_m + resolution_m, resolution_m)
     grid = np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
-    mean, error = model.predict(grid, return_std=True)
+    with threadpool_limits(1):
+        mean, error = model.predict(grid, return_std=True)
     noise = float(model.kernel_.k2.noise_level)
     smooth = np.sqrt(np.maximum(error**2 - noise, 0.0))  # of the surface, not of a next reading
     shape = (len(ys), len(xs))
