@@ -7,7 +7,7 @@ import tempfile
 import pytest
 
 from linkrover.bag.reading import read_recording
-from linkrover.records import ProbeResult
+from linkrover.records import Pose, ProbeResult
 from tests.emulator.needs import packets
 
 LINKROVER = [sys.executable, "-m", "linkrover"]
@@ -86,6 +86,7 @@ def test_a_recorded_drive_is_played_back_as_a_link(tmp_path):
     done = emulate("--replay", str(first), "--out", str(second), "--quiet", "--", sys.executable, "-c", code)
     assert done.returncode == 0, done.stderr
     assert any(isinstance(r, ProbeResult) for r in read_recording(second / "robot").records(ProbeResult))
+    assert any(isinstance(r, Pose) for r in read_recording(second / "robot").records(Pose))
 
 
 @pytest.mark.netns

@@ -65,6 +65,15 @@ def test_packets_of_a_program_inside_arrive_at_the_device(host):
     assert packet[16:20] == bytes([10, 77, 0, 1])
 
 
+def test_multicasts_leave_through_the_device_too(host):
+    handle = in_namespace(host.netns_fd, lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+    handle.sendto(b"discovery", ("239.255.0.1", 7400))
+    handle.close()
+    while not (packet := os.read(host.tun_fd, 2048)).endswith(b"discovery"):
+        pass
+    assert packet[16:20] == bytes([239, 255, 0, 1])
+
+
 def test_the_tap_tells_when_the_kernel_sent_a_probe_and_sees_nothing_else(host):
     tap = Tap(os.dup(host.tap_fd))
     handle = in_namespace(host.netns_fd, lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM))

@@ -127,7 +127,11 @@ def emulate(
         else:
             world.start_agents(out, reflect_both=True)
         motion = Scripted(
-            settings.route, settings.drive, world.path("pose-robot"), still_m=_still(trajectory, distance)
+            settings.route,
+            settings.drive,
+            world.path("pose-robot"),
+            still_m=_still(trajectory, distance),
+            feed_path=world.path("feed"),
         )
         if traffic:
             world.start_traffic()

@@ -34,7 +34,9 @@ SIOCGIFFLAGS, SIOCSIFFLAGS = 0x8913, 0x8914  # include/uapi/linux/sockios.h
 SIOCSIFADDR, SIOCSIFNETMASK = 0x8916, 0x891C
 SIOCSIFMTU = 0x8922
 RTM_NEWLINK, IFLA_TXQLEN = 16, 13  # include/uapi/linux/rtnetlink.h, if_link.h
-NLM_F_REQUEST, NLM_F_ACK = 1, 4
+RTM_NEWROUTE, RTA_DST, RTA_OIF = 24, 1, 4
+RT_TABLE_MAIN, RTPROT_BOOT, RT_SCOPE_LINK, RTN_UNICAST = 254, 3, 253, 1
+NLM_F_REQUEST, NLM_F_ACK, NLM_F_CREATE = 1, 4, 0x400
 IFF_UP, IFF_RUNNING = 0x1, 0x40
 
 TUN_PATH = "/dev/net/tun"
@@ -258,11 +260,24 @@ def _quiet_ipv6() -> None:
 
 
 def _set_queue(iface: str, packets: int) -> None:
-    """The device's transmit queue, by route netlink: the ioctl for it asks for a capability outside the namespace."""
-    attribute = struct.pack("=HHI", 8, IFLA_TXQLEN, packets)
+    """The device's transmit queue; the ioctl for it would ask for a capability outside the namespace."""
     link = struct.pack("=BxHiII", socket.AF_UNSPEC, 0, socket.if_nametoindex(iface), 0, 0)
-    body = link + attribute
-    header = struct.pack("=IHHII", 16 + len(body), RTM_NEWLINK, NLM_F_REQUEST | NLM_F_ACK, 1, 0)
+    _netlink(RTM_NEWLINK, NLM_F_REQUEST | NLM_F_ACK, link + struct.pack("=HHI", 8, IFLA_TXQLEN, packets))
+
+
+def _route_multicast(iface: str) -> None:
+    """224.0.0.0/4 leads over the device too, as discovery of ROS 2 wants it."""
+    route = struct.pack(
+        "=BBBBBBBBI", socket.AF_INET, 4, 0, 0, RT_TABLE_MAIN, RTPROT_BOOT, RT_SCOPE_LINK, RTN_UNICAST, 0
+    )
+    destination = struct.pack("=HH4s", 8, RTA_DST, socket.inet_aton("224.0.0.0"))
+    device = struct.pack("=HHi", 8, RTA_OIF, socket.if_nametoindex(iface))
+    _netlink(RTM_NEWROUTE, NLM_F_REQUEST | NLM_F_ACK | NLM_F_CREATE, route + destination + device)
+
+
+def _netlink(kind: int, flags: int, body: bytes) -> None:
+    """One route netlink request; raises OSError with the kernel's answer."""
+    header = struct.pack("=IHHII", 16 + len(body), kind, flags, 1, 0)
     with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as handle:
         handle.send(header + body)
         (code,) = struct.unpack_from("=i", handle.recv(4096), 16)
@@ -291,3 +306,4 @@ def _configure(iface: str, address: str, prefix: int) -> None:
         fcntl.ioctl(handle, SIOCSIFADDR, request(iface, inet(address)))
         fcntl.ioctl(handle, SIOCSIFNETMASK, request(iface, inet(mask)))
         up(iface)
+        _route_multicast(iface)

@@ -6,7 +6,6 @@ as JSON lines into a pipe, so that no disk makes a packet late.
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
 import signal
@@ -22,13 +21,12 @@ import msgspec
 from linkrover.emulator.driver import DriverFile
 from linkrover.emulator.medium import Medium
 from linkrover.emulator.presets import Case
-from linkrover.emulator.relay import Link, Port, Relay
+from linkrover.emulator.relay import Link, Port, Relay, hurry
 from linkrover.emulator.replay import ReplayLink, Timeline
 from linkrover.emulator.tap import Tap
 from linkrover.emulator.traffic import POSE
 from linkrover.records import LinkTruth, Now, Pose, ProbeTruth, Record
 
-PR_SET_TIMERSLACK = 29
 POSE_TRUTH_NS = 45_000_000  # the true pose about 20 times a second
 TRUTH_HELD = 50_000
 """Truth records kept while the pipe is full; beyond, the oldest go and are counted."""
@@ -137,11 +135,7 @@ def main() -> None:
     truth = TruthPipe(settings.truth_fd)
     faces = DriverFaces(settings, medium)
     poses = {name: _pose_socket(path) for name, path in settings.pose_paths.items()}
-    # the kernel may wake us up to 50 us late by default
-    ctypes.CDLL(None).prctl(PR_SET_TIMERSLACK, 1000)
-    try:
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
-    except PermissionError:
+    if not hurry():
         print("running at ordinary priority: on a busy machine packets leave late, as the truth will say", flush=True)
 
     link: Link
