@@ -59,6 +59,7 @@ FIELDS: dict[str, tuple[str, ...]] = {
         "peer",
         "session",
         "sequence",
+        "reflector_sequence",
         "state",
         "rtt_ns",
         "t1_ns",

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from .directions import UNANSWERED
 from .stats import autocorrelation_time, mean_ci95, quantile_ci95
 from .window import Window
 
@@ -280,11 +281,14 @@ def _directions(part: Probes, run: Run, reasons: list[str]) -> dict[str, object]
         "duplicates": int(np.nansum(part.table["duplicates"])),
         "reordered": int(np.nansum(part.table["reordered"])),
     }
-    forward, back = (int((part.state == word).sum()) for word in ("lost forward", "lost back"))
-    unknown = int(np.isin(part.state, ("lost", "late")).sum())
+    share = part.table["share_lost_back"][np.isin(part.state, UNANSWERED)]
+    back, unknown = float(np.nansum(share)), int(np.isnan(share).sum())
+    forward = len(share) - unknown - back
     out["loss_forward_percent"], out["loss_back_percent"] = 100.0 * forward / sent, 100.0 * back / sent
     if unknown:
         reasons.append(f"the direction of {unknown} losses is not known; they are in neither direction's share")
+    if late := int((part.state == "late").sum()):
+        reasons.append(f"{late} answers came after the deadline; they count as lost, in neither direction's share")
     robot_sends = run.robot is not None and run.robot.probe is not None
     offset = _offset(part, run.robot if robot_sends else run.station)
     if offset is None:

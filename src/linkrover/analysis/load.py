@@ -11,6 +11,7 @@ from linkrover.errors import LinkRoverError, ParseError
 from linkrover.records import LinkEvent, Manifest, Role
 
 from .columns import RawEnd
+from .directions import share_lost_back
 from .run import HOLD_S, Clock, End, Run
 from .window import Window
 
@@ -353,14 +354,15 @@ def _one_fate(probes: Columns | None) -> Columns | None:
         most = max(names, key=peers.count)
         kept = np.array([p == most for p in peers])
         probes = {name: column[kept] for name, column in probes.items()}
-    session, sequence = probes.pop("session"), probes.pop("sequence")
+    session, sequence, reflected = (probes.pop(n) for n in ("session", "sequence", "reflector_sequence"))
     order = np.lexsort((np.arange(len(session)), sequence, session))
     last = np.ones(len(order), bool)
     last[:-1] = (np.diff(session[order]) != 0) | (np.diff(sequence[order]) != 0)
-    if last.all():
-        return probes
     rows = np.sort(order[last])
-    return {name: column[rows] for name, column in probes.items()}
+    if not last.all():
+        probes = {name: column[rows] for name, column in probes.items()}
+    share = share_lost_back(session[rows], sequence[rows], reflected[rows], probes["state"])
+    return {**probes, "share_lost_back": share}
 
 
 def _event_time(event: LinkEvent, clock: _Clock, origin: int) -> float:
