@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import shutil
 import stat
@@ -12,25 +11,16 @@ from pathlib import Path
 
 import pytest
 
+from linkrover.emulator.netns import why_not
+
 NOBODY = 65534
-
-
-@functools.cache
-def why_no_packets() -> str | None:
-    """Tried in a process of its own: entering a user namespace cannot be undone."""
-    code = (
-        "from linkrover.emulator.netns import become_namespace_root, make_host\n"
-        "become_namespace_root(); make_host('x', '10.77.0.9').close()\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    return None if done.returncode == 0 else done.stderr.strip().splitlines()[-1]
 
 
 def packets() -> None:
     """Skip the test unless namespaces and TUN devices can be had directly."""
     if os.geteuid() != 0:
         pytest.skip("network namespaces within this process need root")
-    reason = why_no_packets()
+    reason = why_not()
     if reason is not None:
         pytest.skip(f"no namespaces or TUN devices here: {reason}")
 

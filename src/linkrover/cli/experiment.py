@@ -64,7 +64,7 @@ def emulate(
     """
     from rich.console import Console
 
-    from linkrover.emulator.netns import NotPermittedError, check_tun
+    from linkrover.emulator.netns import why_not
     from linkrover.experiment.plan import load_plan, trials, world_settings
     from linkrover.experiment.runner import Made, prepare, run_all
 
@@ -80,10 +80,9 @@ def emulate(
             the_plan, each, duration, str(plan)
         )  # a case that cannot be made is an error now, not in an hour
     if not virtual:
-        try:
-            check_tun()
-        except NotPermittedError as error:
-            raise LinkRoverError(f"{error}. Or add --virtual: the same models without packets") from error
+        missing = why_not()
+        if missing is not None:
+            raise LinkRoverError(f"{missing}. Or add --virtual: the same models without packets")
     out = out or Path(f"{the_plan.name}-runs")
     made = Made(the_plan, virtual, duration)
     runs = prepare(wanted, out, made, resume=resume)

@@ -151,6 +151,28 @@ def become_namespace_root() -> bool:
     return True
 
 
+def why_not() -> str | None:
+    """Whether become_namespace_root() and make_host() would work here: None, or what is missing and what grants it.
+
+    Tried in a child process, because entering a user namespace cannot be undone.
+    """
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            become_namespace_root()
+            make_host("trial", "10.77.0.9").close()
+        except BaseException as error:  # noqa: BLE001 - the parent gets it as text
+            os.write(writer, str(error).encode()[:4000] or b"not permitted")
+        finally:
+            os._exit(0)
+    os.close(writer)
+    with os.fdopen(reader, "rb") as pipe:
+        text = pipe.read().decode(errors="replace")
+    os.waitpid(child, 0)
+    return text or None
+
+
 def _has_capability(number: int) -> bool:
     status = Path("/proc/self/status").read_text()
     return bool(int(status.partition("CapEff:")[2].split()[0], 16) >> number & 1)

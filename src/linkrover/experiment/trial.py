@@ -176,7 +176,9 @@ def run_trial(
         raise KeyboardInterrupt
     watch.view.stage = "checking"
     show(watch.view)
-    agreement = check_agreement(out)
+    # interrupted before both ends recorded, there is nothing to compare
+    begun = all((out / end).is_dir() and any((out / end).iterdir()) for end in (*ENDS, "truth"))
+    agreement = check_agreement(out) if begun else None
     outcome = Outcome(
         case=settings.case.name,
         trial=settings.trial,
