@@ -96,6 +96,7 @@ def main() -> None:
                 summarise(loaded, "pandey2022")
                 summarise(loaded)
 
+        difference = largest_difference(file, scripts)
         both()
         ours = ("-m", "linkrover", "report", str(file), "--format", "json")
         cold = {
@@ -122,6 +123,24 @@ def main() -> None:
             cells += [f"{known:.3f}", f"{base / known:.1f}x"] if known else ["", ""]
         table.add_row(name, *cells)
     Console().print(table)
+    print(f"largest relative difference between the figures of both sides: {difference:.1e}")
+
+
+def largest_difference(file: Path, scripts) -> float:
+    """Both sides must come to the same figures, or the times mean nothing."""
+    from linkrover.analysis import load_run, summarise
+
+    theirs = scripts.vectorised(file)
+    summary = summarise(load_run(file), "pandey2022")
+    suffix = scripts.suffixes(file)[0]
+    worst = abs(summary.delay_ms.mean / theirs["network_delay"][0] - 1)
+    for role, end in (("robot", "c"), ("station", "s")):
+        figures = summary.ends[role].interfaces["iface2" if suffix else "iface1"]
+        throughput = figures.throughput_mbps
+        for part, value in (("", throughput.mean), ("tx_", throughput.tx_mean), ("rx_", throughput.rx_mean)):
+            worst = max(worst, abs(value / theirs[f"{end}_total_{part}mbps{suffix}"][0] - 1))
+        worst = max(worst, abs(figures.rssi_dbm.mean / theirs[f"{end}_rssi{suffix}"][0] - 1))
+    return worst
 
 
 if __name__ == "__main__":
