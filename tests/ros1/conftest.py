@@ -109,6 +109,17 @@ class Master:
             self.process = None
 
 
+def state(master: Master) -> list[list[Any]]:
+    """Publishers, subscribers and services, as the master says."""
+    from linkrover.ros1.rpc import Rpc, RpcError
+
+    try:
+        found: list[list[Any]] = Rpc(master.uri, "/test").call("getSystemState")
+    except RpcError:
+        return [[], [], []]
+    return found
+
+
 @pytest.fixture
 def master(tmp_path: Path) -> Iterator[Master]:
     found = Master(tmp_path / "ros_home").start()

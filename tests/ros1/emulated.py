@@ -113,9 +113,11 @@ def main() -> None:
             "robot", "client", *common, "client", *measured, "--wireless-path", world.path("robot.wireless"),
             "--odom", "/odom", "--cmd-vel", "/cmd_vel",
         )  # fmt: skip
-        world.run(3.0, drive, 0.05)
+        client_log = ends.log / "client.log"
+        world.run(40.0, lambda: drive() or "a ping server answers" in client_log.read_text(), 0.05)
         bag = out / "robot.bag"
         ends.start("robot", "rosbag", "rosbag", "record", "-O", str(bag), "-e", BAG_TOPICS, "__name:=rosbag_record")
+        world.run(30.0, lambda: drive() or any(out.glob("robot.bag*")), 0.05)
         world.run(seconds, drive, 0.05)
         extra = sys.argv[5:]
         if extra:

@@ -72,7 +72,7 @@ def test_a_subscriber_that_hangs_costs_no_sample(master: Master, programs: Progr
 
     wait_for(connected, "it is connected")
     subscriber.send_signal(signal.SIGSTOP)
-    time.sleep(4)
+    time.sleep(2.5)
     assert programs.interrupt(client) == 0
     subscriber.send_signal(signal.SIGCONT)
     assert largest_gap_s(tmp_path / "run/robot") < 1.5

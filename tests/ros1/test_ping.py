@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.middleware.contract import ROOT, Driver
+from tests.middleware.contract import Driver
 
-from .conftest import LINKROVER, Master, Programs, wait_for
+from .conftest import LINKROVER, Master, Programs, state, wait_for
 
 FACTORY = "tests.ros1.test_contract:started"
 
@@ -107,7 +107,7 @@ def test_a_stopped_server_makes_pings_lost_then_late_and_they_are_cancelled(
     server = programs.start([*LINKROVER, "ros1", "ping-server", "--reflect", "0"], master.environment())
     wait_for(lambda: "joined" in programs.log(server), "the server joins")
     cancels = programs.start(["rostopic", "echo", "-p", "/Ping/cancel"], master.environment())
-    wait_for(lambda: "/rostopic" in _nodes(master), "rostopic listens")
+    wait_for(lambda: "/rostopic" in str(state(master)), "rostopic listens")
     driver = Driver(master.environment(), FACTORY, "ping", "Ping", 60, 50, 300, "connected")
     drivers.append(driver)
     assert driver.said("delay")["alive"]
@@ -121,8 +121,3 @@ def test_a_stopped_server_makes_pings_lost_then_late_and_they_are_cancelled(
     assert late["delay_ns"] > 300_000_000
     assert late["method"] == "ros1 action late"
     wait_for(lambda: "driver_ping" in programs.log(cancels), "stale goals are cancelled")
-
-
-def _nodes(master: Master) -> str:
-    told = subprocess.run(["rosnode", "list"], env=master.environment(), capture_output=True, text=True, cwd=ROOT)
-    return told.stdout
