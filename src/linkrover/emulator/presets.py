@@ -154,7 +154,7 @@ CASES: tuple[Case, ...] = (
         access_point="robot",
         adapter="internal",
         channel=_channel("internal-5"),
-        medium=MediumConfig(band_ghz=5.0, noise_dbm=-86.0, others_share=0.33),
+        medium=MediumConfig(band_ghz=5.0, noise_dbm=-86.0, others_share=0.27),
         nodes=_buffer(90),
         places=DIRECT_PLACES,
         observed=Observed2021(throughput_bps=13.4e6, outage_share=0.225, delay_mean_s=0.242, delay_median_s=0.065),
