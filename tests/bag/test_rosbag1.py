@@ -55,7 +55,7 @@ def test_a_delay_is_placed_when_it_was_asked_for_not_when_its_node_began(tmp_pat
     delays = [r for r in recording.records(NetworkDelay) if isinstance(r, NetworkDelay)]
     assert [r.delay_ns for r in delays[4:7]] == [2_500_000, None, 2_500_000]
     assert delays[4].wall_ns == T0 + 4 * 1_050_000_000 - 2_500_000
-    assert delays[5].wall_ns == T0 + 5 * 1_050_000_000
+    assert delays[5].wall_ns == T0 + 5 * 1_050_000_000 - 2_000_000_000
     assert all(r.wall_ns != STARTED for r in delays[1:])
 
 

@@ -14,7 +14,7 @@ from linkrover.records import LinkUtilization, NetworkDelay, NetworkErrors, Pose
 
 from .blocks import Topic
 from .columns import Convert, complete, null_where, number, repeated, stamps, texts
-from .interpret import COUNTER_STEP, RATES, STALE_STAMP_NS
+from .interpret import COUNTER_STEP, DEADLINE_2021_NS, RATES, STALE_STAMP_NS
 from .layout import Columns, Indices, UnfitTypeError
 from .patterns import Meaning
 
@@ -98,7 +98,7 @@ class _Delay:
         finite = np.where(np.isfinite(delay), delay, -1.0)
         with np.errstate(all="ignore"):
             whole = np.rint(finite * 1e6).astype(np.int64)
-        wall_ns = np.where(stale, times - np.maximum(whole, 0), stamp)
+        wall_ns = np.where(stale, times - np.where(finite < 0, DEADLINE_2021_NS, whole), stamp)
         known = _base(self._meaning, columns, iface=True) | {
             "wall_ns": wall_ns,
             "mono_ns": wall_ns,

@@ -22,6 +22,8 @@ from .patterns import Meaning
 
 # The 2021 nodes stamp every delay with the time the node began; a stamp this far from the arrival is not of the sample.
 STALE_STAMP_NS = 5_000_000_000
+# they publish -1 when an answer has not come for so long
+DEADLINE_2021_NS = 2_000_000_000
 # a counter that grew by more than this in one interval was another counter (100 Gbit/s for ten seconds)
 COUNTER_STEP = 125_000_000_000
 
@@ -87,7 +89,7 @@ class Interpreter:
         return tuple(self._derived(record) for record in found)
 
     def _received(self, message: Any, log_ns: int) -> int | None:
-        """When a delay was asked for, where its stamp does not say: its arrival less the delay."""
+        """When a delay was asked for, where its stamp does not say: its arrival less the delay (or the deadline)."""
         if self.topic.type != "network_analysis/NetworkDelay":
             return None
         stamp = stamp_ns(message)
@@ -96,7 +98,8 @@ class Interpreter:
         if not stale:
             return None
         delay = float(message["delay"])
-        return log_ns - max(round(delay * 1e6), 0) if math.isfinite(delay) else log_ns
+        answered = math.isfinite(delay) and delay >= 0
+        return log_ns - (round(delay * 1e6) if answered else DEADLINE_2021_NS)
 
     def _derived(self, record: Record) -> Record:
         iface = self.meaning.iface
