@@ -55,3 +55,10 @@ def test_a_bag_of_something_else_is_a_clear_error(tmp_path: Path, capsys: pytest
     assert import_(other, out=tmp_path / "runs") == 1
     assert "other.bag" in capsys.readouterr().err
     assert not (tmp_path / "runs" / "other").exists()
+
+
+def test_a_lost_ping_of_a_bag_is_out_from_its_deadline_to_the_next_answer(bag: Path) -> None:
+    summary = summarise(load_run(bag))
+    assert summary.delay_ms.lost == 1
+    # it was known at 5.25 s; the next answer came 1.05 s later, in a run of 30.5 s
+    assert summary.delay_ms.time_out_percent == pytest.approx(100 * 1.05 / summary.duration_s, rel=0.02)
