@@ -26,6 +26,7 @@ from linkrover.experiment.trial import truth_manifest
 ROOT = Path(__file__).resolve().parents[2]
 PORT = 11311
 IMAGE_HZ = 3.0
+ANSWERED = "a ping server answers"
 BAG_TOPICS = r"/robot/.*|/odom|/diagnostics"
 
 
@@ -114,7 +115,7 @@ def main() -> None:
             "--odom", "/odom", "--cmd-vel", "/cmd_vel",
         )  # fmt: skip
         client_log = ends.log / "client.log"
-        world.run(40.0, lambda: drive() or "a ping server answers" in client_log.read_text(), 0.05)
+        world.run(40.0, lambda: drive() or (client_log.exists() and ANSWERED in client_log.read_text()), 0.05)
         bag = out / "robot.bag"
         ends.start("robot", "rosbag", "rosbag", "record", "-O", str(bag), "-e", BAG_TOPICS, "__name:=rosbag_record")
         world.run(30.0, lambda: drive() or any(out.glob("robot.bag*")), 0.05)
