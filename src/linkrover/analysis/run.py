@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 from linkrover.records import LinkEvent, Manifest
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from .window import Window
 
+    Floats = NDArray[np.float64]
     Column = NDArray[Any]
     Columns = dict[str, Column]  # "t_s" seconds of the run, "wall_ns" of the end's own clock, then record fields
 
