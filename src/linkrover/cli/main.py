@@ -41,6 +41,7 @@ VERBS: tuple[tuple[str, str, str], ...] = (
     ("emulate", "emulate:emulate", "Run any program behind an emulated Wi-Fi link."),
     ("experiment", "experiment:app", "Cases x trials: emulate or run a whole campaign."),
     ("ros1", "ros1:app", "ROS 1 nodes: client, server, ping-server, traffic."),
+    ("ros2", "ros2:app", "ROS 2 nodes, without a ROS 2 installation: client, server, ping-server."),
 )
 
 _wanted = sys.argv[1] if len(sys.argv) > 1 else ""

@@ -33,5 +33,5 @@ class UnlockedWriter(DataWriter[Any]):  # type: ignore[misc]
             raise DDSException(code, "Occurred while writing a sample")
 
     @c_call("dds_write")  # type: ignore[untyped-decorator]
-    def _write_unlocked(self, writer: dds_c_t.entity, data: ctypes.POINTER(Container)) -> dds_c_t.returnv:
+    def _write_unlocked(self, writer: dds_c_t.entity, data: ctypes.POINTER(Container)) -> dds_c_t.returnv:  # type: ignore[valid-type]
         """Replaced by c_call."""
