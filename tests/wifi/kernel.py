@@ -105,6 +105,8 @@ def _make(package: str, home: Path) -> None:
             raise GuestUnavailableError(f"apt-get download {package} failed: {got.stderr.strip()[-300:]}")
         tree = scratch / "tree"
         subprocess.run(["dpkg", "-x", archives[0], tree], check=True)
+        for old in CACHE.glob("linux-image-*"):
+            shutil.rmtree(old)  # an older kernel's, or what a changed recipe makes anew
         release = package.removeprefix("linux-image-")
         home.mkdir(exist_ok=True)
         (home / "vmlinux").write_bytes(_uncompressed((tree / "boot" / f"vmlinuz-{release}").read_bytes()))

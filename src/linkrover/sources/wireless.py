@@ -112,6 +112,10 @@ class WextSource:
             unknown["rssi_dbm"] = Unknown.UNSUPPORTED
         if line.noise_dbm is None:
             unknown["noise_dbm"] = Unknown.UNSUPPORTED
+        # cfg80211 never fills this column in (cfg80211_wireless_stats, net/wireless/wext-compat.c): its 0 says nothing
+        missed_beacons = line.missed_beacons if line.missed_beacons or self._forced else None
+        if missed_beacons is None:
+            unknown["missed_beacons"] = Unknown.UNSUPPORTED
         return WirelessLink(
             wall_ns=stamp.wall_ns,
             mono_ns=stamp.mono_ns,
@@ -130,7 +134,7 @@ class WextSource:
             link_quality_max=settings.quality_max,
             tx_bitrate=None if settings.bitrate_bps is None else Bitrate(rate_bps=settings.bitrate_bps),
             tx_failed=line.gave_up,
-            missed_beacons=line.missed_beacons,
+            missed_beacons=missed_beacons,
             power_save=settings.power_save,
         )
 
