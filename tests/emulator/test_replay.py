@@ -61,6 +61,15 @@ def test_application_delays_tell_the_outages_where_there_are_no_probes():
     assert min(line.rate_bps) >= LEAST_BPS
 
 
+def test_a_slow_sampler_whose_every_question_is_answered_saw_no_outage():
+    records = [r for r in drive()["robot"] if not isinstance(r, ProbeResult)]
+    records += [
+        NetworkDelay(wall_ns=t * S, mono_ns=t, iface="wlan0", peer="s", method="ros1 action", delay_ns=5, alive=True)
+        for t in range(0, 20, 3)
+    ]
+    assert not any(build("run", {"robot": records}).outage)
+
+
 def test_nothing_to_play_back_is_an_error_that_says_so():
     with pytest.raises(LinkRoverError, match="no RSSI and no throughput"):
         build("run", {"robot": []})

@@ -128,26 +128,25 @@ def _rates(times: list[int], records: Iterable[Record]) -> list[float]:
 
 
 def _outages(times: list[int], records: Iterable[Record]) -> list[bool]:
-    answered, asked = [], []
+    """Whether each time lies in a stretch without an answer longer than OUTAGE_S in which one was asked for in vain."""
+    answered: list[int] = []
+    vain: list[int] = []
     for r in records:
-        if isinstance(r, ProbeResult):
-            asked.append(r.wall_ns)
-            if r.state is ProbeState.ANSWERED:
-                answered.append(r.wall_ns)
+        if isinstance(r, ProbeResult) and r.state is not ProbeState.NOT_SENT:
+            (answered if r.state is ProbeState.ANSWERED else vain).append(r.wall_ns)
         elif isinstance(r, NetworkDelay):
-            asked.append(r.wall_ns)
-            if r.alive and r.delay_ns is not None:
-                answered.append(r.wall_ns)
-    if not asked:
+            (answered if r.alive and r.delay_ns is not None else vain).append(r.wall_ns)
+    if not vain:
         return [False] * len(times)
     answered.sort()
-    first, last = min(asked), max(asked)
+    vain.sort()
     out = []
     for now_ns in times:
         index = bisect_right(answered, now_ns)
-        before = answered[index - 1] if index else first
-        after = answered[index] if index < len(answered) else last
-        out.append(first <= now_ns <= last and after - before > OUTAGE_S * 1e9)
+        before = answered[index - 1] if index else vain[0] - 1
+        after = answered[index] if index < len(answered) else vain[-1] + 1
+        asked = bisect_right(vain, after) - bisect_right(vain, before)
+        out.append(before <= now_ns <= after and after - before > OUTAGE_S * 1e9 and asked > 0)
     return out
 
 
