@@ -14,6 +14,9 @@ from .queue import DropTail, FairCoDel, Packet, Queue
 from .rate_control import RateController
 
 
+SAMPLE_FRAMES = 4  # so long are aggregates that try another rate
+
+
 class Cause:
     """Why a packet was dropped."""
 
@@ -67,7 +70,7 @@ class Hop:
         config = self._config
         limit = self._octet_limit[mcs]
         extra = config.overhead_octets + 4
-        room = config.max_subframes
+        room = min(config.max_subframes, SAMPLE_FRAMES) if self.rate.sampling else config.max_subframes
         packets: list[Packet] = []
         size = 0
         if self.pending:
@@ -222,6 +225,8 @@ class Hop:
 
 class FixedRate:
     """Always the same scheme (for checks against theory)."""
+
+    sampling = False
 
     def __init__(self, mcs: int) -> None:
         self.best = mcs

@@ -33,6 +33,7 @@ from linkrover.errors import ConfigError
 from linkrover.records import LinkTruth
 
 from .association import Association
+from .contention import FAR, Contention, Sender
 from .hop import Cause, Hop
 from .medium_config import MediumConfig, NodeConfig
 from .queue import Packet
@@ -40,8 +41,6 @@ from .queue import Packet
 __all__ = ["EVERYONE", "Cause", "Fate", "Medium", "MediumConfig", "NodeConfig"]
 
 EVERYONE = "*"
-CCA_NS = 3_000  # senders that begin within this time of each other do not hear each other: a collision
-FAR = 1 << 62
 
 
 class Fate(NamedTuple):
@@ -52,23 +51,6 @@ class Fate(NamedTuple):
     at_ns: int
     delay_ns: int
     cause: str | None
-
-
-class _Sender:
-    """A node as a contender for the channel (IEEE 802.11 DCF)."""
-
-    __slots__ = ("backlogged", "backoff", "bus_bps", "cw", "hops", "name", "ready_ns", "since_ns", "turn")
-
-    def __init__(self, name: str, bus_bps: float | None, cw: int) -> None:
-        self.name = name
-        self.hops: list[Hop] = []
-        self.turn = 0
-        self.cw = cw
-        self.backoff = 0
-        self.since_ns = 0
-        self.ready_ns = 0
-        self.bus_bps = bus_bps
-        self.backlogged = False
 
 
 class _Transmission:
@@ -107,11 +89,12 @@ class Medium:
         self._rng = random.Random(seed)
         self._now = start_ns
         self._out: list[Fate] = []
-        self._senders: dict[str, _Sender] = {}
+        self._contention = Contention(config, random.Random(self._rng.random()), start_ns)
+        self._senders = self._contention.senders
         self._hops: dict[tuple[str, str], Hop] = {}
         for name in names:
             node = (nodes or {}).get(name, NodeConfig())
-            self._senders[name] = _Sender(name, node.bus_bps, config.cw_min)
+            self._senders[name] = Sender(name, node.bus_bps, config.cw_min)
         for station in self.stations:
             for sender, receiver in ((station, access_point), (access_point, station)):
                 self._add_hop(sender, receiver, (nodes or {}).get(sender, NodeConfig()))
@@ -120,21 +103,14 @@ class Medium:
             name: Association(name, config.association, random.Random(self._rng.random()), start_ns)
             for name in self.stations
         }
-        self._free_ns = start_ns  # the channel is idle from here on
         self._on_air: list[_Transmission] = []
         self._end_ns = FAR
         self._defer_ns = 0
         self._timer_ns = FAR
         self._beacon_ns = start_ns + config.association.beacon_ns
         self._renew_timer()
-        self._burst_mean_ns = config.others_burst_ns
-        share = config.others_share
-        self._burst_gap_ns = self._burst_mean_ns / share if share > 0 else 0.0
-        self._burst_ns = start_ns + int(self._rng.expovariate(1.0) * self._burst_gap_ns) if share > 0 else FAR
-        self.others_airtime_ns = 0
         self.own_airtime_ns = 0
         self.collisions = 0
-        self._began_ns = start_ns
 
     def _add_hop(self, sender: str, receiver: str, node: NodeConfig) -> Hop:
         hop = Hop(sender, receiver, self.config, node, random.Random(self._rng.random()))
@@ -143,6 +119,11 @@ class Medium:
         return hop
 
     # ---- what the outside says
+
+    @property
+    def others_airtime_ns(self) -> int:
+        """Air time that other users of the channel took so far (while ours looked)."""
+        return self._contention.others_airtime_ns
 
     def set_link(self, sender: str, receiver: str, *, rssi_dbm: float, distance_m: float = 0.0, walls: int = 0) -> None:
         """The mean received power of one directed hop from now on (dBm, distance and walls only for the truth).
@@ -284,8 +265,8 @@ class Medium:
         if not sender.backlogged:
             sender.backlogged = True
             sender.since_ns = now_ns
-            if not self._on_air and self._burst_ns <= now_ns:
-                self._catch_up(now_ns)
+            if not self._on_air:
+                self._contention.catch_up(now_ns)
         return None
 
     def _fate(self, packet: Packet, now_ns: int, cause: str) -> None:
@@ -304,18 +285,7 @@ class Medium:
         due = self._timer_ns
         if self._on_air:
             return min(due, self._end_ns)
-        access = FAR
-        for sender in self._senders.values():
-            if sender.backlogged:
-                at = self._access_ns(sender)
-                access = min(access, at)
-        if access < FAR and self._burst_ns < access:
-            access = max(self._burst_ns, self._free_ns)
-        return min(due, access)
-
-    def _access_ns(self, sender: _Sender) -> int:
-        at = self._free_ns + self.config.difs_ns + sender.backoff * self.config.slot_ns
-        return max(at, sender.since_ns, sender.ready_ns)
+        return min(due, self._contention.due_ns())
 
     def _run(self, until_ns: int) -> None:
         while True:
@@ -330,46 +300,22 @@ class Medium:
             self._finish(due)
         elif self._timer_ns <= due:
             self._timers(due)
-        elif self._burst_ns <= due:
-            self._others(due)
+        elif self._contention.burst_ns <= due:
+            self._contention.burst(due)
         else:
             self._access(due)
 
-    def _catch_up(self, now_ns: int) -> None:
-        """Bursts of others that came while nobody of ours wanted to send."""
-        while self._burst_ns <= now_ns:
-            self._others(max(self._burst_ns, self._free_ns))
-
-    def _others(self, begin_ns: int) -> None:
-        """Other users take the channel as soon as it is free: an M/M/1 stream of bursts with priority over ours."""
-        length = int(self._rng.expovariate(1.0) * self._burst_mean_ns)
-        self._count_down(begin_ns, None)
-        self._free_ns = begin_ns + length
-        self.others_airtime_ns += length
-        self._burst_ns += max(1, int(self._rng.expovariate(1.0) * self._burst_gap_ns))
-
-    def _count_down(self, begin_ns: int, but: list[_Sender] | None) -> None:
-        """Somebody takes the channel at begin_ns: the others keep what is left of their back-off."""
-        slots = (begin_ns - self._free_ns - self.config.difs_ns) // self.config.slot_ns
-        if slots <= 0:
-            return
-        for sender in self._senders.values():
-            if but is None or sender not in but:
-                sender.backoff = max(0, sender.backoff - slots)
-
     def _access(self, now_ns: int) -> None:
-        winners = [s for s in self._senders.values() if s.backlogged and self._access_ns(s) <= now_ns + CCA_NS]
-        self._count_down(now_ns, winners)
         longest = 0
         config = self.config
-        for sender in winners:
-            hop = self._pick(sender)
+        for sender in self._contention.winners(now_ns):
+            hop = sender.pick()
             if hop is None:
                 sender.backlogged = False
                 continue
             sent = self._assemble(hop, now_ns)
             if sent is None:
-                sender.backlogged = self._pick(sender) is not None
+                sender.look()
                 continue
             octets = sum(p.octets for p in sent.packets)
             frame_ns = hop.frame_ns(sent.packets, sent.mcs)
@@ -389,17 +335,6 @@ class Medium:
         self.own_airtime_ns += longest
         self._end_ns = now_ns + longest
 
-    def _pick(self, sender: _Sender) -> Hop | None:
-        """Round robin over the sender's hops that have something to send."""
-        hops = sender.hops
-        count = len(hops)
-        for step in range(count):
-            hop = hops[(sender.turn + step) % count]
-            if hop.pending or hop.queue.packets:
-                sender.turn = (sender.turn + step + 1) % count
-                return hop
-        return None
-
     def _assemble(self, hop: Hop, now_ns: int) -> _Transmission | None:
         if hop.receiver == EVERYONE:
             packet = hop.queue.pop(now_ns)
@@ -417,22 +352,15 @@ class Medium:
     def _finish(self, now_ns: int) -> None:
         on_air, self._on_air = self._on_air, []
         self._end_ns = FAR
-        self._free_ns = now_ns + self._defer_ns
+        self._contention.free_ns = now_ns + self._defer_ns
         self._defer_ns = 0
-        config = self.config
-        rng = self._rng
         for sent in on_air:
-            sender = self._senders[sent.hop.sender]
             if sent.mcs < 0:
                 self._finish_multicast(sent, now_ns)
                 ok = True
             else:
                 ok = self._finish_unicast(sent, now_ns)
-            sender.cw = config.cw_min if ok else min(config.cw_max, 2 * sender.cw + 1)
-            sender.backoff = int(rng.random() * (sender.cw + 1)) if config.random_backoff else sender.cw // 2
-            sender.backlogged = any(hop.pending or hop.queue.packets for hop in sender.hops)
-            if sender.backlogged:
-                sender.since_ns = now_ns
+            self._contention.sent(self._senders[sent.hop.sender], ok, now_ns)
 
     def _finish_unicast(self, sent: _Transmission, now_ns: int) -> bool:
         hop = sent.hop
@@ -548,10 +476,8 @@ class Medium:
         if self._on_air:
             self._defer_ns += airtime_ns
         else:
-            self._catch_up(now_ns)
-            begin_ns = max(now_ns, self._free_ns)
-            self._count_down(begin_ns, None)
-            self._free_ns = begin_ns + airtime_ns
+            self._contention.catch_up(now_ns)
+            self._contention.occupy(max(now_ns, self._contention.free_ns), airtime_ns)
         for name, association in self._association.items():
             if association.beacon(now_ns, self._hops[self.access_point, name].hears_basic(250)):
                 self._disconnected(name, now_ns)
@@ -563,8 +489,7 @@ class Medium:
             for packet in hop.clear():
                 hop.dropped_unassociated += 1
                 self._fate(packet, now_ns, Cause.UNASSOCIATED)
-            sender = self._senders[key[0]]
-            sender.backlogged = any(other.pending or other.queue.packets for other in sender.hops)
+            self._senders[key[0]].look()
         self._renew_timer()
 
     def _set_down(self, station: str, down: bool) -> None:

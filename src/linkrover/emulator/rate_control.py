@@ -42,6 +42,7 @@ class RateController:
         self._last_tried_ns = [0] * count
         self._due_ns = 0
         self._sent = 0
+        self.sampling = False  # the transmission chosen last is a trial: it should be short
         self.best = min(count - 1, 3)
         self.second = max(0, self.best - 1)
         self.safest = 0
@@ -49,10 +50,12 @@ class RateController:
 
     def choose(self, retries: int) -> int:
         """MCS for a transmission whose oldest frame has been repeated `retries` times."""
+        self.sampling = False
         if retries == 0:
             self._sent += 1
             if self._sent % self._sample_every == 0:
                 self.last = self._sample()
+                self.sampling = True
                 return self.last
         if retries <= 1:
             self.last = self.best
