@@ -13,7 +13,6 @@ from .medium_config import MediumConfig, NodeConfig
 from .queue import DropTail, FairCoDel, Packet, Queue
 from .rate_control import RateController
 
-
 SAMPLE_FRAMES = 4  # so long are aggregates that try another rate
 
 
