@@ -14,7 +14,7 @@ from linkrover.errors import ParseError
 from linkrover.records import Neighbour, Now, Overlap
 from linkrover.sources.netlink import pack, u32
 from linkrover.sources.nl80211_interface import WirelessInterface
-from linkrover.sources.nl80211_scan import channel_mhz, elements, overlap, parse_bss, snapshot
+from linkrover.sources.nl80211_scan import channel_mhz, elements, heard_within, overlap, parse_bss, snapshot
 
 CAPTURED: dict[str, Any] = json.loads((Path(__file__).parent / "captured" / "nl80211.json").read_text())
 SCAN = [bytes.fromhex(one) for one in CAPTURED["he"]["station"]["scan"]]
@@ -105,6 +105,16 @@ def test_a_snapshot_counts_the_others_and_not_our_own_cell():
     assert (taken.co_channel, taken.adjacent, taken.triggered) == (1, 1, True)
     blind = snapshot("wlan0", ours(None), found, Now(1, 2))
     assert (blind.co_channel, blind.adjacent, blind.triggered) == (None, None, False)
+
+
+def test_what_was_heard_before_the_scan_is_no_finding_of_it():
+    found = [
+        Neighbour(bssid="now", frequency_mhz=2412, seen_ms_ago=150),
+        Neighbour(bssid="before", frequency_mhz=2412, seen_ms_ago=900),
+        Neighbour(bssid="ours", frequency_mhz=2412, seen_ms_ago=900, associated=True),
+        Neighbour(bssid="untold", frequency_mhz=2412),
+    ]
+    assert [one.bssid for one in heard_within(found, 300)] == ["now", "ours", "untold"]
 
 
 def test_channel_numbers_of_three_bands():

@@ -25,6 +25,7 @@ ATTR_SCAN_FREQUENCIES, ATTR_SCAN_SSIDS, ATTR_BSS = 44, 45, 47
 _BSSID, _FREQUENCY, _BEACON_INTERVAL, _ELEMENTS, _SIGNAL_MBM = 1, 2, 4, 6, 7
 _STATUS, _SEEN, _BEACON_ELEMENTS = 9, 10, 11
 _STATUS_ASSOCIATED = 1
+_SLACK_MS = 200  # between the end of a scan and our reading of its results
 
 
 def elements(data: bytes) -> Iterator[tuple[int, bytes]]:
@@ -152,6 +153,11 @@ def scan_results(nl: Genetlink, ifindex: int) -> list[Neighbour]:
     return [one for one in map(parse_bss, answers) if one is not None]
 
 
+def heard_within(found: list[Neighbour], took_ms: int) -> list[Neighbour]:
+    """Those heard in a scan that took so long; the kernel's list keeps others for half a minute."""
+    return [one for one in found if one.associated or one.seen_ms_ago is None or one.seen_ms_ago <= took_ms + _SLACK_MS]
+
+
 class Scanner:
     """Scans without waiting: start(), then let the loop call `ready()` whenever `fileno()` is readable.
 
@@ -209,7 +215,8 @@ class Scanner:
             took_ns, self._began_ns = time.monotonic_ns() - self._began_ns, None
             if payload[0] == CMD_SCAN_ABORTED:
                 raise NetlinkError(errno.ECANCELED, "scan", "aborted by another program or the driver")
-            return snapshot(iface, ours, scan_results(self._ask, self._ifindex), now(), took_ns)
+            found_now = heard_within(scan_results(self._ask, self._ifindex), took_ns // 1_000_000)
+            return snapshot(iface, ours, found_now, now(), took_ns)
         return None
 
     def close(self) -> None:
