@@ -96,3 +96,4 @@ def test_names_are_stable_and_carry_the_end() -> None:
     topic, kind, message, _ = middleware.messages[0]
     assert (topic, kind) == ("/diagnostics", "diagnostic_msgs/DiagnosticArray")
     assert [s["name"] for s in message["status"]] == ["linkrover/robot: recording", "linkrover/robot: wlan0 link"]
+    assert [s["hardware_id"] for s in message["status"]] == ["robot", "wlan0"]

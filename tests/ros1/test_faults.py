@@ -78,6 +78,25 @@ def test_a_subscriber_that_hangs_costs_no_sample(master: Master, programs: Progr
     assert largest_gap_s(tmp_path / "run/robot") < 1.5
 
 
+def test_it_ends_in_time_and_with_a_finished_recording_when_all_others_hang(
+    master: Master, programs: Programs, tmp_path: Path
+) -> None:
+    server = programs.start([*LINKROVER, "ros1", "ping-server", "--reflect", "0"], master.environment())
+    client = programs.start(
+        [*LINKROVER, "ros1", "client", "-i", "lo", "--record", str(tmp_path / "run")], master.environment()
+    )
+    wait_for(lambda: "a ping server answers" in programs.log(client), "they are connected")
+    assert master.process is not None
+    for process in (server, master.process):
+        process.send_signal(signal.SIGSTOP)
+    time.sleep(1)
+    assert programs.interrupt(client, 40) == 0
+    for process in (server, master.process):
+        process.send_signal(signal.SIGCONT)
+    assert (tmp_path / "run/robot/metadata.yaml").exists()
+    assert not list((tmp_path / "run/robot").glob("*.journal"))
+
+
 def test_simulated_time_is_said_and_stamps_stay_real(master: Master, programs: Programs) -> None:
     subprocess.run(["rosparam", "set", "/use_sim_time", "true"], env=master.environment(), check=True)
     client = programs.start([*LINKROVER, "ros1", "client", "-i", "lo"], master.environment())

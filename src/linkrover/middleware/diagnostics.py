@@ -112,6 +112,7 @@ class Diagnostics:
         """Say it on /diagnostics."""
         instant = now()
         listed = self.statuses(instant.mono_ns)
+        interfaces = {key[1] for key in self._latest} | self._errors.keys()
         array = {
             "header": header(instant.wall_ns, ""),
             "status": [
@@ -119,7 +120,7 @@ class Diagnostics:
                     "level": s.level,
                     "name": f"linkrover/{self._end}: {s.name}",
                     "message": s.message,
-                    "hardware_id": s.name.partition(" ")[0] if "/" not in s.name else self._end,
+                    "hardware_id": next((i for i in interfaces if s.name.startswith(f"{i} ")), self._end),
                     "values": [{"key": k, "value": v} for k, v in s.values.items()],
                 }
                 for s in listed

@@ -130,7 +130,7 @@ class PathMarkers:
             "ns": "now",
             "id": 0,
             "type": TEXT,
-            "pose": {"position": {"x": last.x_m, "y": last.y_m, "z": 0.8}, "orientation": {"w": 1.0}},
+            "pose": {"position": {"x": last.x_m, "y": last.y_m + 0.9, "z": 0.8}, "orientation": {"w": 1.0}},
             "scale": {"x": 0.0, "y": 0.0, "z": 0.4},
             "color": {"r": 0.1, "g": 0.1, "b": 0.1, "a": 1.0},
             "text": f"{signal}, {delay}{', outage' if last.outage else ''}",

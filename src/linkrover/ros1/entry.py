@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import functools
 import logging
+import os
 import signal
 import socket
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,6 +29,7 @@ from .rpc import RpcError
 log = logging.getLogger("linkrover.ros1")
 
 DEFAULT_REFLECTOR_PORT = 8620
+LEAVE_S = 5.0
 _NOTHING = {
     "wireless_hz": 0.0,
     "utilization_hz": 0.0,
@@ -106,6 +109,7 @@ def run(options: Ros1Options, arguments: Sequence[str] = (), defaults: dict[str,
         node.close()
         family.removeHandler(handler)
         output.close()
+        _end_in_time()
 
 
 def _free_port(port: int) -> int:
@@ -119,6 +123,13 @@ def _free_port(port: int) -> int:
             log.warning("UDP port %d is taken: STAMP probes are answered on %d", port, other)
             return other
     return port
+
+
+def _end_in_time() -> None:
+    """Everything is closed by now; threads of rospy that hang on a dead link must not hold the process for a minute."""
+    last = threading.Timer(LEAVE_S, os._exit, (0,))
+    last.daemon = True
+    last.start()
 
 
 def _stop(agent: Agent, stopped_by: list[int], number: int, _frame: object) -> None:
