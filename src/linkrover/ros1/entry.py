@@ -83,6 +83,7 @@ def run(options: Ros1Options, arguments: Sequence[str] = (), defaults: dict[str,
     family.propagate = False
     family.addHandler(handler)
     node = Ros1(options.node, arguments)
+    code = 1
     try:
         parameter = _parameter(node)
         port_given = options.reflect is not None or parameter("reflect") is not None
@@ -104,12 +105,13 @@ def run(options: Ros1Options, arguments: Sequence[str] = (), defaults: dict[str,
         agent.run()
         family.removeHandler(rosout)
         cut_short = options.duration_s is not None and signal.SIGINT in stopped_by
-        return 130 if cut_short else 0
+        code = 130 if cut_short else 0
+        return code
     finally:
         node.close()
         family.removeHandler(handler)
         output.close()
-        _end_in_time()
+        _end_in_time(code)
 
 
 def _free_port(port: int) -> int:
@@ -125,9 +127,9 @@ def _free_port(port: int) -> int:
     return port
 
 
-def _end_in_time() -> None:
+def _end_in_time(code: int) -> None:
     """Everything is closed by now; threads of rospy that hang on a dead link must not hold the process for a minute."""
-    last = threading.Timer(LEAVE_S, os._exit, (0,))
+    last = threading.Timer(LEAVE_S, os._exit, (code,))
     last.daemon = True
     last.start()
 
