@@ -112,6 +112,17 @@ def test_a_killed_experiment_leaves_no_process_and_goes_on_where_it_was(plan, nu
     assert {path: path.stat().st_mtime_ns for path in whole} == before
 
 
+@pytest.mark.parametrize(
+    ("line", "words"), [("robots = 2", "virtual time knows one robot"), ("[probe]\ndeadline_s = 1.0", "it is 2 s")]
+)
+def test_what_virtual_time_cannot_do_is_refused_before_anything_is_made(plan, line, words):
+    plan.write_text(PLAN.replace('name = "small"', 'name = "small"\n' + line) if "=" in line[:9] else PLAN + line)
+    done = experiment(plan, "--virtual")
+    assert done.returncode in (1, 2)
+    assert words in done.stderr.replace("\n", " ")
+    assert not (plan.parent / "runs").exists()
+
+
 def test_a_run_that_fails_is_named_and_the_others_are_made(plan):
     runs = plan.parent / "runs"
     (runs / "router-2.4").mkdir(parents=True)

@@ -67,6 +67,7 @@ def emulate(
     from linkrover.emulator.netns import why_not
     from linkrover.experiment.plan import load_plan, trials, world_settings
     from linkrover.experiment.runner import Made, prepare, run_all
+    from linkrover.experiment.trial import check_virtual
 
     if jobs is not None and jobs < 1:
         raise ConfigError(f"--jobs {jobs}: must be 1 or more")

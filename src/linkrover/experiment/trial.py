@@ -30,6 +30,7 @@ from linkrover.records import (
 
 ENDS = ("robot", "station")
 OUTCOME_FILE = "outcome.json"
+DEADLINE_S = 2.0
 DRIVE_LIMIT = 1.4
 """A drive that outages made slower than this many times its nominal time is ended."""
 
@@ -178,7 +179,7 @@ def run_trial(
     show(watch.view)
     # interrupted before both ends recorded, there is nothing to compare
     begun = all((out / end).is_dir() and any((out / end).iterdir()) for end in (*ENDS, "truth"))
-    agreement = check_agreement(out) if begun else None
+    agreement = check_agreement(out, _deadline_s(settings)) if begun else None
     outcome = Outcome(
         case=settings.case.name,
         trial=settings.trial,
@@ -195,6 +196,14 @@ def run_trial(
     return outcome
 
 
+def check_virtual(settings: WorldSettings) -> None:
+    """Raise ConfigError for what virtual time cannot do."""
+    if settings.robots > 1:
+        raise ConfigError(f"robots = {settings.robots}: virtual time knows one robot; leave out --virtual")
+    if _deadline_s(settings) != DEADLINE_S:
+        raise ConfigError(f"probe.deadline_s = {_deadline_s(settings):g}: in virtual time it is {DEADLINE_S:g} s")
+
+
 def run_virtual_trial(
     settings: WorldSettings,
     out: Path,
@@ -205,12 +214,12 @@ def run_virtual_trial(
     """The same trial in virtual time: the same models, no packets, no permission needed; marked as simulated.
 
     Raises:
+        ConfigError: more than one robot, or another deadline than virtual time's.
         LinkRoverError: `out` holds a run already, or cannot be written.
     """
     from linkrover.emulator.virtual import VirtualSettings, run
 
-    if settings.robots > 1:
-        raise ConfigError(f"robots = {settings.robots}: virtual time knows one robot; leave out --virtual")
+    check_virtual(settings)
     refuse_to_overwrite(out)
     out.mkdir(parents=True, exist_ok=True)
     total_s = duration_s if duration_s is not None else settings.route.nominal_s(settings.drive) + 3
@@ -230,6 +239,9 @@ def run_virtual_trial(
             route=settings.route,
             drive=settings.drive,
             traffic=settings.traffic,
+            wireless_hz=settings.rates.get("wireless_hz", 10.0),
+            utilization_hz=settings.rates.get("utilization_hz", 1.0),
+            probe_hz=settings.probe.get("rate_hz", 10.0),
             access_point_shows_signal=settings.access_point_shows_signal,
         ),
         progress=progress,
@@ -251,12 +263,17 @@ def run_virtual_trial(
     return outcome
 
 
-def check_agreement(out: Path) -> Agreement:
-    """Measured against true, from the recordings of a finished run."""
+def _deadline_s(settings: WorldSettings) -> float:
+    return float(settings.probe.get("deadline_s", DEADLINE_S))
+
+
+def check_agreement(out: Path, deadline_s: float = DEADLINE_S) -> Agreement:
+    """Measured against true, from the recordings of a finished run. deadline_s: of the probes."""
     from linkrover.bag.reading import read_recording
 
     ends = {end: list(read_recording(out / end).records(LinkUtilization, ProbeResult, WirelessLink)) for end in ENDS}
-    return compare(ends, read_recording(out / "truth").records(LinkTruth, ProbeTruth))
+    truth = read_recording(out / "truth").records(LinkTruth, ProbeTruth)
+    return compare(ends, truth, int(deadline_s * 1e9))
 
 
 def save_outcome(out: Path, outcome: Outcome) -> None:
