@@ -13,7 +13,7 @@ app = App(
     name="ros2",
     help="Nodes on a ROS 2 graph, by DDS itself: needs pip install 'linkrover[ros2]', no ROS 2 on this machine. "
     "ROS_DOMAIN_ID, ROS_LOCALHOST_ONLY, ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, ROS_STATIC_PEERS and CYCLONEDDS_URI "
-    "are heeded. To see the messages with ROS 2's own tools, build ros/network_analysis and ros/linkrover_msgs there.",
+    "are heeded. Odometry, velocity, pings and /diagnostics are standard types; see docs/ros2.md for our own.",
 )
 
 

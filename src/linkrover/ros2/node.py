@@ -39,7 +39,8 @@ QUEUE = 1000
 """Messages that may wait for the writing thread; more are dropped and counted, never waited for."""
 JOIN_PERIOD_S = 1.0
 REJOIN_PERIOD_S = 5.0
-LOOK_PERIOD_S = 5.0
+LOOK_PERIOD_S = 2.0
+LOOK_PERIOD_LONGEST_S = 30.0
 QUIET_S = 0.5
 """A graph that has not changed for so long counts as known."""
 
@@ -271,7 +272,7 @@ class Ros2:
 
     def _enter(self) -> None:
         if self._domain is None and self.network.config:
-            self._domain = Domain(self.network.domain, self.network.config)
+            self._domain = _domain(self.network)
         qos = Qos(Policy.EntityName(self.names.full_name), self._user_data())
         participant = DomainParticipant(self.network.domain, qos=qos)
         self._discovery = Discovery(participant)
@@ -290,12 +291,14 @@ class Ros2:
         self._participant.set_qos(Qos(self._user_data()))
 
     def _work(self) -> None:
-        look_s = time.monotonic() + LOOK_PERIOD_S
+        period_s = LOOK_PERIOD_S
+        look_s = time.monotonic() + period_s
         while not self._closed.is_set():
             try:
                 item = self._queue.get(timeout=max(0.0, look_s - time.monotonic()))
             except queue.Empty:
-                look_s = time.monotonic() + LOOK_PERIOD_S
+                period_s = min(2 * period_s, LOOK_PERIOD_LONGEST_S)
+                look_s = time.monotonic() + period_s
                 item = self._look
             if item is None:
                 return
@@ -367,6 +370,17 @@ class Ros2:
     def _tell(self, text: str) -> None:
         if self._first(text) and not self._closed.is_set():
             log.error("%s", text)
+
+
+def _domain(network: Network) -> Domain | None:
+    """The domain with our configuration; None: this process is in it already (rclpy, another node), with its own."""
+    try:
+        return Domain(network.domain, network.config)
+    except DDSException as error:
+        if error.code != DDSException.DDS_RETCODE_PRECONDITION_NOT_MET:
+            raise
+        log.info("this process is in DDS domain %d already: its configuration holds", network.domain)
+        return None
 
 
 def _at(mono_ns: int) -> Now:
