@@ -77,9 +77,10 @@ def emulate(
     the_plan = load_plan(plan)
     wanted = trials(the_plan, cases)
     for each in wanted:
-        world_settings(
-            the_plan, each, duration, str(plan)
-        )  # a case that cannot be made is an error now, not in an hour
+        # a case that cannot be made is an error now, not in an hour
+        settings = world_settings(the_plan, each, duration, str(plan))
+        if virtual:
+            check_virtual(settings)
     if not virtual:
         missing = why_not()
         if missing is not None:
