@@ -83,9 +83,9 @@ def test_each_tcp_connection_is_recorded_with_its_round_trip(case: str, recordin
 def test_a_disconnection_is_on_both_timelines(recordings: dict[tuple[str, str], Recording]):
     robot = list(recordings["station-ap", "robot"].records(LinkEvent))
     lost = next(one for one in robot if one.kind is EventKind.DISCONNECTED)
-    back = next(one for one in robot if one.kind is EventKind.ASSOCIATED and one.mono_ns > lost.mono_ns)
+    back = next(one for one in robot[robot.index(lost) :] if one.kind is EventKind.ASSOCIATED)
     assert back.previous_bssid == lost.bssid == back.bssid
-    assert back.gap_ns == back.mono_ns - lost.mono_ns
+    assert back.gap_ns == (back.mono_ns - lost.mono_ns or None)  # None: this busy guest read both at once
     station = list(recordings["station-ap", "station"].records(LinkEvent))
     kinds = [one.kind for one in station]
     assert kinds.index(EventKind.PEER_LEFT) < len(kinds) - kinds[::-1].index(EventKind.PEER_JOINED)

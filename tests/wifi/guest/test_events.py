@@ -50,9 +50,9 @@ def test_a_disconnection_has_its_reason_and_its_gap(client: Daemon, ears: dict[s
     left = ears["robot"].wait(EventKind.PEER_LEFT)
     assert left.peer == station.mac
     back = ears["station"].wait(EventKind.ASSOCIATED)
-    assert back.gap_ns == back.mono_ns - lost.mono_ns > 0
+    assert back.gap_ns == (back.mono_ns - lost.mono_ns or None)  # None: a busy guest may read both at once
     again = ears["robot"].wait(EventKind.PEER_JOINED)
-    assert again.gap_ns == again.mono_ns - left.mono_ns
+    assert again.gap_ns == (again.mono_ns - left.mono_ns or None)
 
 
 def test_the_country_changing_is_told(ears: dict[str, Ear]):
