@@ -18,7 +18,7 @@ Flag = Parameter(negative=())
 @app.command
 def fit(
     *runs: Path,
-    access_point: Annotated[tuple[float, float] | None, Parameter(name="--access-point")] = None,
+    access_point: Annotated[tuple[float, float] | None, Parameter(name="--access-point", negative=())] = None,
     end: str | None = None,
     together: Annotated[bool, Flag] = False,
     json: Annotated[bool, Flag] = False,
@@ -47,6 +47,7 @@ def fit(
         One JSON object instead of tables; `linkrover model predict --fit` reads it.
     """
     import msgspec
+    from rich.console import Console
 
     from linkrover.cli import _fitting
     from linkrover.errors import ConfigError
@@ -55,12 +56,11 @@ def fit(
         raise ConfigError("RUN: name at least one run")
     if end not in (None, "robot", "station"):
         raise ConfigError(f"--end {end}: must be robot or station")
-    results = _fitting.fit_runs(runs, access_point, end, together)
+    with Console(stderr=True).status("reading and fitting ..."):
+        results = _fitting.fit_runs(runs, access_point, end, together)
     if json:
         print(msgspec.json.format(msgspec.json.encode({"fits": results}), indent=1).decode())
         return 0
-    from rich.console import Console
-
     console = Console()
     for result in results:
         console.print(_fitting.table(result))
@@ -73,7 +73,7 @@ def fit(
 def predict(
     *,
     preset: str | None = None,
-    fit: Path | None = None,  # noqa: A002, RUF100 - the option's name
+    fit: Path | None = None,
     rss_1m_dbm: float | None = None,
     exponent: float | None = None,
     sigma_db: float | None = None,
