@@ -23,9 +23,11 @@ TWIST = {"linear": {"x": 0.5, "y": 0.1}, "angular": {"z": -1.5}}
 class Driver:
     """A running tests.middleware.driver."""
 
-    def __init__(self, environment: dict[str, str], factory: str, *command: object) -> None:
+    def __init__(
+        self, environment: dict[str, str], factory: str, *command: object, before: tuple[str, ...] = ()
+    ) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "tests.middleware.driver", factory, *map(str, command)],
+            [*before, sys.executable, "-m", "tests.middleware.driver", factory, *map(str, command)],
             env=environment,
             cwd=ROOT,
             stdout=subprocess.PIPE,

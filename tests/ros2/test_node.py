@@ -7,7 +7,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -26,7 +25,7 @@ from linkrover.ros2.network import read_network
 from linkrover.ros2.node import Ros2
 from linkrover.ros2.types import complete, sample_class, sample_class_of
 from linkrover.ros2.unlocked import UnlockedWriter
-from tests.middleware.contract import ROOT, TWIST, Driver
+from tests.middleware.contract import TWIST, Driver
 
 FACTORY = "tests.ros2.test_contract:started"
 Begin = Callable[..., Driver]
@@ -163,14 +162,13 @@ def test_a_write_that_waits_for_a_reader_lets_sampling_go_on(begin: Begin, parti
 
 
 @pytest.mark.skipif(os.geteuid() != 0 or shutil.which("unshare") is None, reason="needs root for a network namespace")
-def test_a_loopback_that_is_down_is_named_and_joined_when_it_is_up(environment: dict[str, str]) -> None:
-    command = (
-        f"{sys.executable} -m tests.middleware.driver {FACTORY} graph 2>&1 & sleep 3; "
-        "/sbin/ip link set lo up || ip link set lo up; wait"
-    )
-    done = subprocess.run(
-        ["unshare", "--net", "sh", "-c", command], env=environment, cwd=ROOT, capture_output=True, text=True, timeout=60
-    )
-    assert "no network interface is up" in done.stdout
-    assert "joined DDS domain" in done.stdout
-    assert '"/driver_graph"' in done.stdout
+def test_a_loopback_that_is_down_is_named_and_joined_when_it_is_up(
+    environment: dict[str, str], drivers: list[Driver]
+) -> None:
+    driver = Driver(environment, FACTORY, "graph", before=("unshare", "--net"))
+    drivers.append(driver)
+    told(driver, "no network interface is up")
+    enter = ["nsenter", f"--net=/proc/{driver.process.pid}/ns/net"]
+    subprocess.run([*enter, "ip", "link", "set", "lo", "up"], check=True, timeout=20)
+    assert driver.said("joined")["joined"]
+    assert "/driver_graph" in driver.said("graph")["nodes"]

@@ -25,6 +25,8 @@ HIGHEST_DOMAIN = 232
 """Above it the UDP ports of RTPS (7400 + 250 * domain + ...) pass 65535."""
 PARTICIPANTS = 32
 """Participants of one host that are looked for where there is no multicast."""
+_SEEKING = "<SPDPInterval>3s</SPDPInterval><InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay>"
+"""By default Cyclone DDS forgets a peer that was silent for 30 s, and a robot comes back later than that."""
 _SIOCGIFFLAGS, _IFF_UP, _IFNAMSIZ = 0x8913, 0x1, 16
 
 
@@ -96,7 +98,7 @@ def _xml(peers: tuple[str, ...], general: str) -> str:
     return (
         f"<General>{general}<AllowMulticast>false</AllowMulticast></General><Discovery>"
         f"<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{PARTICIPANTS}</MaxAutoParticipantIndex>"
-        f"<Peers>{addresses}</Peers></Discovery>"
+        f"<Peers>{addresses}</Peers>{_SEEKING}</Discovery>"
     )
 
 

@@ -39,7 +39,7 @@ QUEUE = 1000
 """Messages that may wait for the writing thread; more are dropped and counted, never waited for."""
 JOIN_PERIOD_S = 1.0
 REJOIN_PERIOD_S = 5.0
-LOOK_PERIOD_S = 2.0
+LOOK_PERIOD_S = 1.0
 LOOK_PERIOD_LONGEST_S = 30.0
 QUIET_S = 0.5
 """A graph that has not changed for so long counts as known."""
