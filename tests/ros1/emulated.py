@@ -76,7 +76,7 @@ def main() -> None:
     with World(settings, out, truth.take) as world:
         world.start_link()
         motion = Scripted(
-            settings.route, settings.drive, world.path("pose"), still_m=3.0 if trajectory == "still" else None
+            settings.route, settings.drive, world.path("pose-robot"), still_m=3.0 if trajectory == "still" else None
         )
         pose_file = out / "pose.txt"
         beside = out / "pose.new"

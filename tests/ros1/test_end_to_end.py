@@ -12,6 +12,7 @@ import pytest
 
 from linkrover.bag import read_recording
 from linkrover.records import (
+    LinkTruth,
     LinkUtilization,
     NetworkDelay,
     NetworkErrors,
@@ -56,6 +57,11 @@ def test_both_ends_recorded_what_they_measure(drive: Path) -> None:
         assert {LinkUtilization, NetworkErrors, TopicTraffic} <= kinds
     robot = {type(r) for r in records(drive / "run/robot")}
     assert {NetworkDelay, ProbeResult, Pose, VelocityCommand} <= robot
+
+
+def test_the_radio_knows_where_the_robot_stands(drive: Path) -> None:
+    distances = {round(r.distance_m, 1) for r in records(drive / "run/truth", LinkTruth) if isinstance(r, LinkTruth)}
+    assert any(d > 2.0 for d in distances), "the emulator was never told the robot's place"
 
 
 def test_images_fill_the_air_and_the_traffic_says_so(drive: Path) -> None:
