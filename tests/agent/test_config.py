@@ -59,7 +59,7 @@ def test_an_unknown_key_is_an_error_that_proposes_the_nearest(text, key, proposa
     ("text", "words"),
     [
         ('reflect = "yes"', "reflect: Expected `bool`, got `str`"),
-        ('role = "rover"', "role: Invalid enum value 'rover'"),
+        ('role = "rover"', "role: Invalid enum value 'rover'; allowed are: robot, station"),
         ("[rates]\nwireless_hz = 5000", "rates.wireless_hz = 5000"),
         ("[rates]\nwireless_hz = -1", "rates.wireless_hz = -1"),
         ("[rates]\nwireless_hz = nan", "rates.wireless_hz = nan"),

@@ -78,6 +78,7 @@ def test_info_of_what_is_no_recording_fails_in_one_line(tmp_path):
         done = linkrover("info", path)
         assert done.returncode == 1
         assert done.stderr.count("\n") == 1
+        assert done.stderr.count(str(path)) == 1
     assert linkrover("info").returncode == 2
 
 

@@ -95,7 +95,8 @@ def test_what_is_read_of_a_cut_recording_is_its_beginning(files, tmp_path):
         assert lengths[-1] > len(everything) // 2
 
 
-def test_a_chunk_that_is_cut_gives_what_can_be_unpacked(tmp_path):
+def test_a_chunk_that_is_cut_gives_what_can_be_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr(container, "CHUNK_BYTES", 1 << 19)  # as other recorders write them
     recorder = Recorder(tmp_path / "robot", manifest())
     for n in range(1500):
         for record in record_number(n):
@@ -122,6 +123,16 @@ def test_a_flipped_bit_in_a_chunk_costs_that_chunk_and_is_said(files, tmp_path):
     assert "messages over" in line
     missing = sum(int(line.partition(": ")[2].partition(" of ")[0]) for line in problems if "are missing" in line)
     assert f"a chunk of {missing} messages" in line
+
+
+@pytest.mark.parametrize("form", ["journal", "finished"])
+def test_a_flipped_bit_in_the_first_bytes_costs_nothing(files, tmp_path, form):
+    for place in range(len(container.MAGIC)):
+        data = bytearray(files[form])
+        data[place] ^= 0x10
+        records, problems = read(tmp_path, bytes(data))
+        assert records == read(tmp_path, files[form])[0]
+        assert any("first bytes" in problem for problem in problems)
 
 
 def test_a_flipped_length_in_a_journal_costs_few_messages(files, tmp_path):

@@ -263,7 +263,7 @@ def test_writing_resumes_when_there_is_space_again(tiny_disk):
 def test_a_file_that_is_no_recording_is_an_error(tmp_path):
     (tmp_path / "x.mcap").write_bytes(b"hello")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(LinkRoverError, match="not an MCAP"):
+    with pytest.raises(LinkRoverError, match="neither an MCAP file nor"):
         read_recording(tmp_path / "x.mcap")
     with pytest.raises(LinkRoverError, match="does not exist"):
         read_recording(tmp_path / "y.mcap")

@@ -191,4 +191,6 @@ def _elsewhere(key: str) -> list[str]:
 def _named(message: str) -> str:
     """Msgspec's 'Expected `int`, got `str` - at `$.rates.x`' with the key in front."""
     what, found, place = message.rpartition(" - at `$.")
+    if place == "role`":
+        what += f"; allowed are: {', '.join(role.value for role in Role)}"
     return f"{place.rstrip('`')}: {what}" if found else message

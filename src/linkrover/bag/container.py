@@ -42,7 +42,8 @@ from .metadata import BagInfo, TopicInfo, metadata_yaml
 MAGIC = b"\x89MCAP0\r\n"
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log time, publish time
 RECORD_HEAD = struct.Struct("<BQ")
-CHUNK_BYTES = 512 * 1024
+CHUNK_BYTES = 64 * 1024
+"""What a flipped bit in a finished recording costs; at 64 KiB files are 2 % larger than at 512 KiB."""
 MANIFEST_NAME = "linkrover"
 _ZSTD_LEVEL = 3
 

@@ -141,8 +141,9 @@ class McapFile:
 
     def _file(self, data: memoryview) -> Iterator[Block]:
         if data[: len(MAGIC)] != MAGIC:
-            if _CANDIDATE.search(data) is None or b"MCAP" not in bytes(data[:16]):
-                raise LinkRoverError(f"{self.path} is not an MCAP file")
+            alike = sum(a == b for a, b in zip(bytes(data[: len(MAGIC)]), MAGIC, strict=False))
+            if _CANDIDATE.search(data) is None or alike < len(MAGIC) // 2:
+                raise LinkRoverError(f"{self.path} is neither an MCAP file nor a ROS 1 bag")
             self._problems.add("the first bytes of the file are damaged")
         bare: tuple[int, int] | None = None  # a stretch of messages outside chunks, not yielded yet
         chunk: tuple[int, int, dict[int, bytes]] | None = None  # a chunk whose index records are being collected

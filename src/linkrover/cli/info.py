@@ -64,7 +64,8 @@ def info(
             opened = _open(given, patterns, recover=recover)
         except (LinkRoverError, OSError) as error:
             failed = True
-            print(f"linkrover: {given}: {error}", file=sys.stderr)
+            named = str(given) in str(error)
+            print(f"linkrover: {error}" if named else f"linkrover: {given}: {error}", file=sys.stderr)
             continue
         for recording in opened:
             if json:

@@ -107,7 +107,8 @@ def report(
             say("drawing the report")
             write_html(loaded, summaries, out or Path("linkrover-report.html"), need, walls)
     for path, error in failed:
-        print(f"linkrover: left out: {path}: {error}", file=sys.stderr)
+        named = str(path) in str(error)
+        print(f"linkrover: left out: {error}" if named else f"linkrover: left out: {path}: {error}", file=sys.stderr)
     if not loaded:
         return 1
     for path in drawn:
