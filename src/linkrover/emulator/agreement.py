@@ -29,8 +29,10 @@ DELAY_LIMIT_MS = 0.5
 RSSI_LIMIT = 0.0
 QUIET_BPS = 250_000.0
 """A direction that carries less (acknowledgements, commands) is compared with 1 % of this: a packet or two more."""
-EDGE_NS = 10_000_000
-"""A sample this near to a change of the driver's text may have seen either."""
+WRITTEN_LATE_NS = 10_000_000
+READ_LATE_NS = 50_000_000
+"""A sample is stamped, then read; the driver's text is stamped, then written. On a busy machine either comes late by
+this much, and the sample may show any level of that stretch; it must show one of them to the dBm."""
 LOST = (ProbeState.LOST, ProbeState.LOST_FORWARD, ProbeState.LOST_BACK, ProbeState.LATE)
 
 
@@ -106,8 +108,8 @@ class _Truth:
     def levels(self, end: str, wall_ns: int) -> set[int | None]:
         """What the end's driver text may have shown at wall_ns: whole dBm, or None for not associated."""
         ticks = next((ticks for name, ticks in self.hops.items() if name.endswith(">" + end)), [])
-        first = max(0, bisect_right(ticks, wall_ns - EDGE_NS, key=lambda tick: tick.wall_ns) - 1)
-        last = bisect_right(ticks, wall_ns + EDGE_NS, key=lambda tick: tick.wall_ns)
+        first = max(0, bisect_right(ticks, wall_ns - WRITTEN_LATE_NS, key=lambda tick: tick.wall_ns) - 1)
+        last = bisect_right(ticks, wall_ns + READ_LATE_NS, key=lambda tick: tick.wall_ns)
         return {
             level_dbm(tick.rssi_dbm) if tick.associated and tick.rssi_dbm is not None else None
             for tick in ticks[first:last]
