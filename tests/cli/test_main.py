@@ -73,6 +73,21 @@ def test_without_an_extra_a_verb_says_how_to_install_it(module, extra, arguments
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "give at least one RUN"),
+        (["RUN", "--outage-threshold", "-1"], "must be more than 0 s"),
+        (["RUN", "--outage-threshold", "nan"], "must be more than 0 s"),
+        (["RUN", "--out", "report.doc"], "say --format"),
+    ],
+)
+def test_a_report_that_cannot_be_made_is_refused_by_name(arguments, words):
+    done = run("report", *arguments)
+    assert done.returncode == 2
+    assert words in done.stderr
+
+
 def test_a_file_that_cannot_be_made_is_one_line():
     done = run("demo", "--duration", "3", "--out", "/proc/here")
     assert done.returncode == 1

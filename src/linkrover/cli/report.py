@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from linkrover.report.floor import Wall
 
 Format = Literal["html", "md", "latex", "csv", "json"]
+SUFFIXES: dict[str, Format] = {".html": "html", ".md": "md", ".tex": "latex", ".csv": "csv", ".json": "json"}
 
 
 def report(
@@ -51,8 +52,8 @@ def report(
         html (one file without network access), md, latex (tables, needs booktabs), csv (one row a figure) or json
         (schema in docs/report-schema.md).
     out
-        File to write; for csv also a folder, which gets every table as its own file. Default: standard output, for
-        html the file linkrover-report.html.
+        File to write; its ending also says the format (.tex is latex). For csv also a folder, which gets every table
+        as its own file. Default: standard output, for html the file linkrover-report.html.
     outage_threshold
         Seconds without an answered probe from which on it is an outage.
     topics
@@ -75,6 +76,14 @@ def report(
     if not runs:
         print("linkrover: give at least one RUN: linkrover report RUN...", file=sys.stderr)
         return 2
+    if not 0 < outage_threshold < float("inf"):
+        raise ConfigError(f"--outage-threshold {outage_threshold:g}: must be more than 0 s")
+    if out is not None and format is None:
+        format = SUFFIXES.get(out.suffix.lower())  # noqa: A001 - the option's name
+        if format is None:
+            raise ConfigError(
+                f"--out {out}: say --format html, md, latex, csv or json, or end its name in .html, .md ..."
+            )
     from linkrover.analysis.summary import summarise
 
     walls: list[Wall] = []
@@ -129,8 +138,6 @@ def report(
             _put(as_markdown(document), out)
         elif format == "latex":
             _put(as_latex(document), out)
-        elif out is not None:
-            raise ConfigError("--out needs --format: one of html, md, latex, csv, json")
         else:
             print_document(document)
     return 1 if failed else 0
