@@ -15,8 +15,16 @@ def elements(config: str) -> dict[str, str]:
     return {e.tag: e.get("address") or e.text or "" for e in ElementTree.fromstring(f"<a>{config}</a>").iter()}
 
 
-def test_nothing_set_is_domain_0_and_cyclones_own_defaults() -> None:
-    assert read_network(environment={}) == Network(0)
+def test_nothing_set_is_domain_0_with_multicast() -> None:
+    found = read_network(environment={})
+    assert (found.domain, found.interfaces) == (0, ())
+    assert "AllowMulticast" not in found.config
+
+
+@pytest.mark.parametrize("variables", [{}, {"ROS_LOCALHOST_ONLY": "1"}, {"ROS_STATIC_PEERS": "10.0.0.3"}])
+def test_a_peer_that_was_away_for_long_is_looked_for_all_the_same(variables: dict[str, str]) -> None:
+    found = elements(read_network(environment=variables).config)
+    assert (found["SPDPInterval"], found["InitialLocatorPruneDelay"]) == ("3s", "inf")
 
 
 def test_the_variables_of_ros_are_mapped() -> None:

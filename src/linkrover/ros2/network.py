@@ -26,7 +26,8 @@ HIGHEST_DOMAIN = 232
 PARTICIPANTS = 32
 """Participants of one host that are looked for where there is no multicast."""
 _SEEKING = "<SPDPInterval>3s</SPDPInterval><InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay>"
-"""By default Cyclone DDS forgets a peer that was silent for 30 s, and a robot comes back later than that."""
+"""By default Cyclone DDS forgets a unicast peer that was silent for 30 s, and calls by multicast more rarely; a robot
+that was out of reach for longer shall be found again in seconds."""
 _SIOCGIFFLAGS, _IFF_UP, _IFNAMSIZ = 0x8913, 0x1, 16
 
 
@@ -74,6 +75,8 @@ def read_network(
         parts.append(_xml(("127.0.0.1",), "<Interfaces><NetworkInterface name='lo'/></Interfaces>"))
     elif listed:
         parts.append(_xml(tuple(listed), ""))
+    else:
+        parts.append(f"<Discovery>{_SEEKING}</Discovery>")
     if uri:
         parts.append(uri)
     names = [e.get("name", "") for tree in trees for e in tree.iter() if _tag(e) == "networkinterface"]
