@@ -141,7 +141,8 @@ def _cards(view: RunView) -> list[tuple[str, str]]:
         cards.append((f"{number(delay['loss_percent'])} %", "probes lost"))
     if view.of("delay"):
         out_s = sum(o.end_s - o.start_s for o in view.outages)
-        cards.append((f"{number(out_s)} s", f"in {len(view.outages)} outages"))
+        what = "outage" if len(view.outages) == 1 else "outages"
+        cards.append((f"{number(out_s)} s", f"in {len(view.outages)} {what}"))
     return cards
 
 
