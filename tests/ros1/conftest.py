@@ -153,7 +153,8 @@ class Programs:
     def stop(self) -> None:
         for process in self.running:
             if process.poll() is None:
-                process.terminate()
+                # how a node ends is tested where it matters; roslaunch must end its own children
+                process.terminate() if "roslaunch" in process.args else process.kill()
         for process in self.running:
             try:
                 process.wait(10)

@@ -37,7 +37,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         pytest.skip("needs root and /dev/net/tun, for emulated hosts")
     out = tmp_path_factory.mktemp("ros1") / "out"
     told = subprocess.run(
-        [sys.executable, "-m", "tests.ros1.emulated", "10", "12", str(out)],
+        [sys.executable, "-m", "tests.ros1.emulated", "10", "9", str(out)],
         cwd=ROOT,
         capture_output=True,
         text=True,
