@@ -6,7 +6,6 @@ import functools
 import logging
 import signal
 import socket
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from linkrover.ros1.options import DEFAULT_INTERFACE, Ros1Options, agent_config,
 from .network import read_network
 from .node import Ros2
 from .part import Ros2Part
+from .stderr import CapturedStderr
 
 DEFAULT_REFLECTOR_PORT = 8620
 _NOTHING = {"wireless_hz": 0.0, "utilization_hz": 0.0, "errors_hz": 0.0, "delay_hz": 0.0, "tcp_hz": 0.0}
@@ -54,7 +54,9 @@ def run(kind: str, changes: dict[str, Any], remappings: Sequence[str] = ()) -> i
     """
     fixed, defaults = NODES[kind]
     options = Ros2Options(**{**fixed, **changes})
-    output = Output(sys.stderr.fileno())
+    captured = CapturedStderr()
+    output = Output(captured.terminal)
+    captured.start(output.write)
     handler = _ToOutput(output)
     family = logging.getLogger("linkrover")
     family.setLevel(logging.INFO)
@@ -80,6 +82,7 @@ def run(kind: str, changes: dict[str, Any], remappings: Sequence[str] = ()) -> i
         if node is not None:
             node.close()
         family.removeHandler(handler)
+        captured.close()
         output.close()
 
 
