@@ -116,6 +116,8 @@ def probe(
         if len(run.results) == RESULTS_MOST:
             print(f"of the last {RESULTS_MOST} probes:")
         print("\n".join(render(summary, stateless=sender.reflector_stateless)))
+        if sender.counters.missed_slots:
+            print(f"slots of the schedule missed, this machine was busy: {sender.counters.missed_slots}")
     if summary.answered + summary.late == 0:
         print(f"linkrover: {_why_silent(sender, endpoint.address[1])}", file=sys.stderr)
         return 1
