@@ -178,6 +178,16 @@ def test_a_sysctl_that_forbids_user_namespaces_is_named_with_its_command(name, v
     assert name in error.missing
 
 
+@pytest.mark.parametrize("lacking", ["net_admin", "sys_admin"])
+def test_a_containers_root_without_a_capability_is_told_which(lacking):
+    packets()
+    code = "from linkrover.emulator.netns import why_not; print(why_not())"
+    drop = ["setpriv", f"--bounding-set=-{lacking}", f"--inh-caps=-{lacking}"]
+    done = subprocess.run([*drop, sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert f"needs CAP_{lacking.upper()}, which this container's root lacks" in done.stdout
+    assert f"--cap-add={lacking.upper()}" in done.stdout
+
+
 def test_an_ordinary_user_makes_hosts_where_the_device_is_open_to_him():
     packets()
     code = (

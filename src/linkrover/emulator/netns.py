@@ -25,7 +25,7 @@ from linkrover.errors import LinkRoverError
 
 CLONE_NEWUSER = 0x10000000  # include/uapi/linux/sched.h
 CLONE_NEWNET = 0x40000000
-CAP_SYS_ADMIN = 21  # include/uapi/linux/capability.h
+CAPABILITIES = {"CAP_SYS_ADMIN": 21, "CAP_NET_ADMIN": 12}  # include/uapi/linux/capability.h
 
 TUNSETIFF = 0x400454CA  # include/uapi/linux/if_tun.h
 IFF_TUN, IFF_NO_PI = 0x0001, 0x1000
@@ -127,14 +127,15 @@ def become_namespace_root() -> bool:
         NotPermittedError: neither is allowed here.
     """
     check_tun()
-    if _has_capability(CAP_SYS_ADMIN):
+    lacking = [name for name, number in CAPABILITIES.items() if not _has_capability(number)]
+    if not lacking:
         _try_netns()
         return False
     uid, gid = os.geteuid(), os.getegid()
     if uid == 0:
         raise NotPermittedError(
-            "the capability CAP_SYS_ADMIN, which this container's root lacks",
-            "docker run --cap-add=SYS_ADMIN --cap-add=NET_ADMIN --device=/dev/net/tun ...",
+            f"{' and '.join(lacking)}, which this container's root lacks",
+            "docker run --cap-add=SYS_ADMIN --cap-add=NET_ADMIN --device=/dev/net/tun",
         )
     try:
         _unshare(CLONE_NEWUSER)
