@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from linkrover.records import Bitrate, LinkEvent, Manifest, Record
+from linkrover.records import Bitrate, LinkEvent, Manifest, Record, ScanSnapshot
 
 if TYPE_CHECKING:
     from .run import Columns
@@ -24,7 +24,9 @@ KEYS: dict[str, tuple[str, ...]] = {
     "Pose": (),
     "VelocityCommand": (),
     "SelfAccount": (),
-    "TopicTraffic": ("topic", "direction", "peer"),
+    "ChannelSurvey": ("iface", "frequency_mhz"),
+    "TcpConnection": ("iface",),
+    "TopicTraffic": ("topic", "direction", "peer", "node"),
     "LinkTruth": ("hop",),
     "ProbeTruth": ("direction",),
 }
@@ -54,7 +56,24 @@ FIELDS: dict[str, tuple[str, ...]] = {
         "link_quality",
         "inactive_ms",
     ),
-    "StationLink": ("peer", "rssi_dbm", "inactive_ms"),
+    "StationLink": (
+        "peer",
+        "rssi_dbm",
+        "inactive_ms",
+        "tx_bitrate.rate_bps",
+        "tx_bitrate.mode",
+        "tx_bitrate.mcs",
+        "tx_bitrate.nss",
+        "rx_bitrate.rate_bps",
+        "rx_bitrate.mcs",
+        "tx_packets",
+        "tx_bytes",
+        "rx_bytes",
+        "tx_retries",
+        "tx_failed",
+        "beacon_loss",
+        "connected_s",
+    ),
     "ProbeResult": (
         "peer",
         "session",
@@ -73,8 +92,38 @@ FIELDS: dict[str, tuple[str, ...]] = {
     "ClockOffset": ("offset_ns", "error_bound_ns", "drift_ppb"),
     "Pose": ("x_m", "y_m", "heading_rad", "forward_m_per_s", "turn_rad_per_s"),
     "VelocityCommand": ("forward_m_per_s", "sideways_m_per_s", "turn_rad_per_s"),
-    "SelfAccount": ("interval_ns", "cpu_ns", "rss_bytes", "missed_slots", "records_lost"),
-    "TopicTraffic": ("bytes_total", "messages_total", "rate_bps"),
+    "SelfAccount": (
+        "interval_ns",
+        "cpu_ns",
+        "rss_bytes",
+        "samples",
+        "missed_slots",
+        "lateness_median_ns",
+        "lateness_max_ns",
+        "records_written",
+        "records_lost",
+        "bytes_written",
+    ),
+    "ChannelSurvey": ("in_use", "noise_dbm", "active_ms", "busy_ms", "rx_ms", "tx_ms", "utilization"),
+    "TcpConnection": (
+        "local",
+        "remote",
+        "process",
+        "congestion_control",
+        "rtt_us",
+        "min_rtt_us",
+        "retransmits",
+        "congestion_window",
+        "delivery_rate_bps",
+        "bytes_sent",
+        "bytes_acked",
+        "bytes_received",
+        "bytes_retransmitted",
+        "busy_us",
+        "receive_window_limited_us",
+        "send_buffer_limited_us",
+    ),
+    "TopicTraffic": ("transport", "local", "remote", "bytes_total", "messages_total", "rate_bps", "messages_per_s"),
     "LinkTruth": (
         "interval_ns",
         "distance_m",
@@ -89,9 +138,40 @@ FIELDS: dict[str, tuple[str, ...]] = {
     ),
     "ProbeTruth": ("session", "sequence", "delay_ns", "dropped"),
 }
-TEXTS = frozenset({"continuity", "source", "mode", "peer", "state", "dropped"})
+TEXTS = frozenset(
+    {
+        "continuity",
+        "source",
+        "mode",
+        "peer",
+        "state",
+        "dropped",
+        "local",
+        "remote",
+        "process",
+        "congestion_control",
+        "transport",
+        "tx_bitrate.mode",
+    }
+)
 # What a driver gives in steps no finer than a single holds: half the memory of a week's readings.
-SINGLES = frozenset({"connected", "rssi_dbm", "link_quality", "inactive_ms", "duplicates", "reordered"})
+SINGLES = frozenset(
+    {
+        "connected",
+        "rssi_dbm",
+        "link_quality",
+        "inactive_ms",
+        "duplicates",
+        "reordered",
+        "tx_bitrate.rate_bps",
+        "tx_bitrate.mcs",
+        "tx_bitrate.nss",
+        "rx_bitrate.rate_bps",
+        "rx_bitrate.mcs",
+        "noise_dbm",
+        "in_use",
+    }
+)
 
 
 @dataclass(slots=True)
@@ -101,6 +181,7 @@ class RawEnd:
     tables: dict[str, dict[tuple[str, ...], Columns]] = field(default_factory=dict)
     manifest: Manifest | None = None
     events: list[LinkEvent] = field(default_factory=list)
+    scans: list[ScanSnapshot] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     published_2021: bool = False  # messages of the 2021 package as its nodes published them
 
@@ -119,6 +200,8 @@ def from_records(records: Iterable[Record]) -> RawEnd:
         if keys is None:
             if isinstance(record, LinkEvent):
                 raw.events.append(record)
+            elif isinstance(record, ScanSnapshot):
+                raw.scans.append(record)
             elif isinstance(record, Manifest):
                 raw.manifest = raw.manifest or record
             continue
@@ -133,9 +216,16 @@ def _columns(kind: str, records: list[Record]) -> Columns:
 
     out: Columns = {name: np.array([getattr(r, name) for r in records], np.int64) for name in ("wall_ns", "mono_ns")}
     for name in FIELDS[kind]:
-        values = [getattr(r, name) for r in records]
+        values = [_member(r, name) for r in records]
         out[name] = np.array([_text(v) for v in values], object) if name in TEXTS else numbers(values)
     return out
+
+
+def _member(record: Record, name: str) -> Any:
+    """A field, or with a dot a field of the struct in it."""
+    outer, _, inner = name.partition(".")
+    value = getattr(record, outer)
+    return getattr(value, inner, None) if inner else value
 
 
 def _text(value: Any) -> str | None:

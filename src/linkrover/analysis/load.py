@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from linkrover.errors import LinkRoverError, ParseError
-from linkrover.records import LinkEvent, Manifest, Role
+from linkrover.records import LinkEvent, Manifest, Role, ScanSnapshot
 
 from .columns import RawEnd
 from .directions import share_lost_back
@@ -323,7 +323,9 @@ def _end(role: str, raw: RawEnd, clock: _Clock, origin: int) -> End:
         return end
     end.utilization = {iface: _increments(table) for iface, table in by_iface("LinkUtilization").items()}
     end.errors = by_iface("NetworkErrors")
-    end.wireless = _wireless(by_iface("WirelessLink"), by_iface("StationLink"))
+    end.stations = by_iface("StationLink")
+    end.wireless = _wireless(by_iface("WirelessLink"), end.stations)
+    end.connections = by_iface("TcpConnection")
     end.probe, end.offset, end.account = single("ProbeResult"), single("ClockOffset"), single("SelfAccount")
     end.probe = _one_fate(end.probe)
     end.pose, end.command = single("Pose"), single("VelocityCommand")
@@ -332,9 +334,15 @@ def _end(role: str, raw: RawEnd, clock: _Clock, origin: int) -> End:
     if end.probe is not None:
         end.delays.pop("stamp", None)  # the probe's own results in short
     end.traffic = {
-        (key[0], key[1], key[2]): ready(t) for key, t in raw.tables.get("TopicTraffic", {}).items() if len(t["wall_ns"])
+        (key[0], key[1], key[2], key[3]): ready(t)
+        for key, t in raw.tables.pop("TopicTraffic", {}).items()
+        if len(t["wall_ns"])
+    }
+    end.surveys = {
+        (key[0], int(key[1])): ready(t) for key, t in raw.tables.pop("ChannelSurvey", {}).items() if len(t["wall_ns"])
     }
     end.events = tuple(sorted(((_event_time(e, clock, origin), e) for e in raw.events), key=lambda pair: pair[0]))
+    end.scans = tuple(sorted(((_event_time(e, clock, origin), e) for e in raw.scans), key=lambda pair: pair[0]))
     end.alive = _alive([*end.utilization.values(), *end.errors.values(), *end.wireless.values()])
     return end
 
@@ -365,7 +373,7 @@ def _one_fate(probes: Columns | None) -> Columns | None:
     return {**probes, "share_lost_back": share}
 
 
-def _event_time(event: LinkEvent, clock: _Clock, origin: int) -> float:
+def _event_time(event: LinkEvent | ScanSnapshot, clock: _Clock, origin: int) -> float:
     import numpy as np
 
     return float(clock.seconds({"mono_ns": np.array([event.mono_ns])}, origin)[0])

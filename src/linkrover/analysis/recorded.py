@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from linkrover import records
 from linkrover.errors import LinkRoverError
-from linkrover.records import LinkEvent
+from linkrover.records import LinkEvent, ScanSnapshot
 
 from .columns import FIELDS, KEYS, SINGLES, TEXTS, RawEnd
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .run import Columns
 
 KINDS = ("robot", "station", "truth")
+MOST_SCANS = 2000  # each holds every network in reach
 MOST_POSES = 500_000  # a week of odometry is not needed to the 20 ms: every k-th pose of more than this
 
 
@@ -64,7 +65,7 @@ def read_ends(place: Path, topics: Path | None = None) -> tuple[dict[str, RawEnd
     problems: list[str] = []
     parts: dict[tuple[str, str, tuple[str, ...]], list[Columns]] = {}
     kinds = [getattr(records, name) for name in KEYS]
-    thin = _thinning(recording)
+    thin = _thinning(recording, "Pose", MOST_POSES)
     for batch in iter_frames(place, kinds=kinds, patterns=patterns, problems=problems):
         for kind, frame in batch.items():
             _collect(parts, kind.__name__, frame, thin)
@@ -81,22 +82,40 @@ def read_ends(place: Path, topics: Path | None = None) -> tuple[dict[str, RawEnd
             raw.manifest = recording.manifest
     if ours and recording.end not in raws:
         raws[recording.end] = RawEnd(manifest=recording.manifest)
-    if any(topic.record == "LinkEvent" for topic in recording.topics):
-        for end, event in recording.entries(LinkEvent):
-            if isinstance(event, LinkEvent) and end in raws:
-                raws[end].events.append(event)
+    _take_single(recording, raws)
     return raws, list(dict.fromkeys([*recording.problems, *problems]))
 
 
-def _thinning(recording: Recording) -> int:
-    count = sum(topic.count for topic in recording.topics if topic.record == "Pose")
-    return max(1, -(-count // MOST_POSES))
+def _take_single(recording: Recording, raws: dict[str, RawEnd]) -> None:
+    """Events and scans: few, and no tables."""
+    there = {topic.record for topic in recording.topics if topic.count}
+    kinds = [kind for kind in (LinkEvent, ScanSnapshot) if kind.__name__ in there]
+    if not kinds:
+        return
+    keep, scans = _thinning(recording, "ScanSnapshot", MOST_SCANS), 0
+    for end, record in recording.entries(*kinds):
+        if end not in raws:
+            continue
+        if isinstance(record, LinkEvent):
+            raws[end].events.append(record)
+        elif isinstance(record, ScanSnapshot):
+            if scans % keep == 0:
+                raws[end].scans.append(record)
+            scans += 1
+
+
+def _thinning(recording: Recording, kind: str, most: int) -> int:
+    count = sum(topic.count for topic in recording.topics if topic.record == kind)
+    return max(1, -(-count // most))
 
 
 def _collect(
     parts: dict[tuple[str, str, tuple[str, ...]], list[Columns]], kind: str, frame: pl.DataFrame, thin: int
 ) -> None:
-    names = [name for name in FIELDS[kind] if name in frame.columns]
+    names = [name for name in FIELDS[kind] if name.partition(".")[0] in frame.columns]
+    nested = [name for name in names if "." in name]
+    if nested:
+        frame = frame.with_columns(_nested(frame, name) for name in nested)
     keys = ["end", *KEYS[kind]]
     groups = frame.select([*dict.fromkeys([*keys, "wall_ns", "mono_ns", *names])]).partition_by(
         keys, as_dict=True, include_key=True, maintain_order=True
@@ -109,6 +128,11 @@ def _collect(
         for name in names:
             table[name] = _text(group[name]) if name in TEXTS else _number(group[name])
         parts.setdefault((end, kind, tuple(rest)), []).append(table)
+
+
+def _nested(frame: pl.DataFrame, name: str) -> pl.Series:
+    outer, _, inner = name.partition(".")
+    return frame[outer].struct.field(inner).alias(name)
 
 
 def _text(series: pl.Series) -> Any:

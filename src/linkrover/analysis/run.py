@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from linkrover.records import LinkEvent, Manifest
+from linkrover.records import LinkEvent, Manifest, ScanSnapshot
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,7 +35,11 @@ class End:
     pose: Columns | None = None
     command: Columns | None = None
     events: tuple[tuple[float, LinkEvent], ...] = ()
-    traffic: dict[tuple[str, str, str], Columns] = field(default_factory=dict)  # (topic, direction, peer)
+    traffic: dict[tuple[str, str, str, str], Columns] = field(default_factory=dict)  # (topic, direction, peer, node)
+    stations: dict[str, Columns] = field(default_factory=dict)  # every peer of an interface, by "peer"
+    surveys: dict[tuple[str, int], Columns] = field(default_factory=dict)  # (interface, MHz)
+    connections: dict[str, Columns] = field(default_factory=dict)  # every TCP connection of an interface
+    scans: tuple[tuple[float, ScanSnapshot], ...] = ()
     account: Columns | None = None
     alive: Window | None = None  # when this end was heard of within HOLD_S
 

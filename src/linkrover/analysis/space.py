@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from .addresses import stays_inside
 from .delay import find_probes, hold_weights, outage_window
+from .group import last_word
 from .link import signal_steps
 from .motion import position_at
 from .run import End, Run
@@ -348,7 +350,9 @@ def link_budget(run: Run) -> Budget:
 
     sent: dict[str, float] = {}
     robot = run.robot
-    for (topic, direction, _), table in robot.traffic.items() if robot is not None else ():
+    for (topic, direction, *_), table in (robot.traffic if robot is not None else {}).items():
+        if robot is None or stays_inside(robot, last_word(table.get("local")), last_word(table.get("remote"))):
+            continue
         rates = table["rate_bps"][np.isfinite(table["rate_bps"])]
         if direction == "out" and len(rates):
             sent[topic] = sent.get(topic, 0.0) + float(rates.mean()) / 1e6

@@ -8,6 +8,10 @@ import msgspec
 
 from linkrover.errors import ConfigError
 
+from .account import AccountFigures, account_figures
+from .balance import BalanceFigures, balance_figures
+from .channel import ChannelFigures, channel_figures
+from .connections import ConnectionFigures, connection_figures
 from .delay import (
     OUTAGE_THRESHOLD_S,
     DelayFigures,
@@ -28,9 +32,12 @@ from .link import (
     throughput_figures,
 )
 from .motion import MotionFigures, motion_figures, moving_window, position_at, still_window
+from .neighbours import NeighbourhoodFigures, neighbourhoods
 from .reasons import with_reasons
 from .recovery import Recovery, recoveries
 from .run import End, Run
+from .stations import StationFigures, station_figures
+from .topics import TopicFigures, topic_figures
 from .window import Window
 
 if TYPE_CHECKING:
@@ -123,6 +130,13 @@ class RunSummary(msgspec.Struct, frozen=True, kw_only=True):
     application_delay_ms: dict[str, DelayFigures] = {}
     outages: list[Outage] = []
     recoveries: list[Recovery] = []  # after each interruption: when radio, probe and application were back
+    stations: list[StationFigures] = []  # each peer of a wireless interface apart
+    channels: list[ChannelFigures] = []
+    neighbourhoods: list[NeighbourhoodFigures] = []
+    connections: list[ConnectionFigures] = []
+    topics: list[TopicFigures] = []
+    balance: dict[str, BalanceFigures] = {}
+    account: dict[str, AccountFigures] = {}  # what measuring cost, by end
     outage_threshold_s: float | None = None
     motion: MotionFigures = MotionFigures()
     clock: ClockFigures
@@ -152,6 +166,8 @@ def _summarise(run: Run, outage_threshold_s: float) -> RunSummary:
     connected = run.span.without(out)
     still, rule = still_window(run)
     whole = _part(run, run.span, connected, probes, details=True)
+    connections = connection_figures(run)
+    topics = topic_figures(run, connections)
     return RunSummary(
         method="linkrover",
         run=run.name,
@@ -166,6 +182,13 @@ def _summarise(run: Run, outage_threshold_s: float) -> RunSummary:
         application_delay_ms=_application(run),
         outages=_outages(run, out, still_out),
         recoveries=recoveries(run, probes, out),
+        stations=station_figures(run),
+        channels=channel_figures(run),
+        neighbourhoods=neighbourhoods(run),
+        connections=connections,
+        topics=topics,
+        balance=balance_figures(run, topics),
+        account=account_figures(run),
         outage_threshold_s=outage_threshold_s,
         motion=motion_figures(run, still, rule),
         clock=clock_figures(run),
