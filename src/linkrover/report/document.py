@@ -8,19 +8,12 @@ from dataclasses import dataclass, field
 from linkrover.analysis.run import Run
 from linkrover.analysis.summary import RunSummary
 
+from .details import detail_sections
 from .place_words import place_words
 from .run_words import limits, overview, summary_words
+from .section import Section
 from .table import Column, Table, latex, markdown, terminal
 from .tables import label, run_table, table_three, table_two
-
-
-@dataclass(slots=True)
-class Section:
-    """A heading with sentences and tables below it."""
-
-    heading: str
-    words: list[str] = field(default_factory=list)
-    tables: list[Table] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -51,6 +44,9 @@ def build_document(summaries: Sequence[RunSummary], runs: Sequence[Run] = (), ne
         if summary.recoveries:
             section.tables.append(recovery_table(summary))
         document.sections.append(section)
+        for part in detail_sections(summary):
+            part.heading = part.heading if len(summaries) == 1 else f"{label(summary)}: {part.heading.lower()}"
+            document.sections.append(part)
     document.sections.append(Section("Method and limits", limits(summaries)))
     return document
 

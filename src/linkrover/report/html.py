@@ -94,7 +94,7 @@ def _run(page: Page, view: RunView, index: int, most: int, surface: interactive.
         }
     if series is not None:
         page.heading("Over time")
-        page.figure(f"{key}-series", series, f"RSSI, throughput and round trip of {view.name} over time")
+        page.figure(f"{key}-series", series, f"radio, throughput and round trip of {view.name} over time")
     track = interactive.path_map(view, most)
     if track is not None:
         page.heading("Along the path")
@@ -112,6 +112,11 @@ def _run(page: Page, view: RunView, index: int, most: int, surface: interactive.
     for table in view.tables:
         page.table(table)
     page.bullets(view.notes)
+    for part in view.parts:
+        page.heading(part.heading)
+        page.bullets(part.words)
+        for table in part.tables:
+            page.table(table)
     if view.recoveries:
         page.heading("What came back when")
         page.bullets(view.recoveries)

@@ -14,6 +14,13 @@ Figure = dict[str, Any]
 
 _ROWS = (("rssi", "RSSI"), ("throughput", "throughput"), ("delay", "round trip"))
 TITLES = dict(_ROWS)
+# Over time there are more: noise beside the RSSI, and how busy the channel was.
+_TIME_ROWS = (
+    (("rssi", "noise"), "RSSI"),
+    (("channel",), "channel busy"),
+    (("throughput",), "throughput"),
+    (("delay",), "round trip"),
+)
 BASE_LAYOUT: dict[str, Any] = {
     "margin": {"l": 62, "r": 12, "t": 12, "b": 44},
     "paper_bgcolor": "rgba(0,0,0,0)",
@@ -49,15 +56,23 @@ def _trace(line: Line, axis: str, dash: str, most: int) -> dict[str, Any]:
             trace["marker"]["symbol"] = "x-thin-open"
     else:
         trace |= {"mode": "lines", "line": {"color": colour, "width": 1.6, "dash": dash}}
-        if line.kind == "throughput":
+        if line.kind == "noise":
+            trace["line"] |= {"width": 1.0, "dash": "dot"}
+        if line.kind in ("throughput", "channel"):
             trace["line"]["shape"] = "vh"  # a rate belongs to the interval that ends at its stamp
     return trace
 
 
 def time_series(view: RunView, most: int = 2000) -> Figure | None:
-    """RSSI, throughput and round trip over time, one above the other, outages shaded; None if there is nothing."""
-    rows = [(kind, title, view.of(kind)) for kind, title in _ROWS]
-    rows = [row for row in rows if row[2]]
+    """RSSI and noise, channel, throughput and round trip over time, one above the other, outages shaded.
+
+    Rows without values are left out; None if there is nothing.
+    """
+    rows = [
+        (kinds[0], f"{title}, noise" if "noise" in kinds and view.of("noise") else title, lines)
+        for kinds, title in _TIME_ROWS
+        if (lines := [line for kind in kinds for line in view.of(kind)])
+    ]
     if not rows:
         return None
     layout: dict[str, Any] = dict(BASE_LAYOUT)
@@ -72,7 +87,7 @@ def time_series(view: RunView, most: int = 2000) -> Figure | None:
             "gridcolor": "rgba(128,128,128,.25)",
             "zeroline": False,
             **({"type": "log", "dtick": 1} if kind == "delay" else {}),
-            **({"rangemode": "tozero"} if kind == "throughput" else {}),
+            **({"rangemode": "tozero"} if kind in ("throughput", "channel") else {}),
         }
         seen: dict[str, int] = {}
         for line in lines:

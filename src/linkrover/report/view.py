@@ -12,7 +12,7 @@ from .page import Table
 
 Floats = npt.NDArray[np.float64]
 
-UNITS = {"rssi": "dBm", "throughput": "Mbit/s", "delay": "ms", "one-way": "ms"}
+UNITS = {"rssi": "dBm", "throughput": "Mbit/s", "delay": "ms", "one-way": "ms", "channel": "%", "noise": "dBm"}
 
 
 @dataclass(frozen=True)
@@ -63,6 +63,15 @@ class EventView:
 
 
 @dataclass(frozen=True)
+class PartView:
+    """A part of a run's section: a heading, sentences, tables."""
+
+    heading: str
+    words: tuple[str, ...] = ()
+    tables: tuple[Table, ...] = ()
+
+
+@dataclass(frozen=True)
 class RunView:
     """Everything the report shows of one run. `summary` is the run's object of the JSON report."""
 
@@ -79,6 +88,7 @@ class RunView:
     recoveries: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     tables: tuple[Table, ...] = ()
+    parts: tuple[PartView, ...] = ()
     setup: dict[str, dict[str, str]] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     repairs: tuple[str, ...] = ()

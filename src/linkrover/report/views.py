@@ -8,13 +8,17 @@ from pathlib import Path as FilePath
 import msgspec
 import numpy as np
 
+from linkrover.analysis.addresses import owner_of_mac
+from linkrover.analysis.channel import busy_shares
 from linkrover.analysis.delay import Probes, application_probes, find_probes
 from linkrover.analysis.link import signal_steps
 from linkrover.analysis.recovery import recovery_sentence
-from linkrover.analysis.run import End, Run
+from linkrover.analysis.run import HOLD_S, End, Run
+from linkrover.analysis.stations import peer_signals
 from linkrover.analysis.summary import RunSummary
 from linkrover.records import Manifest
 
+from .details import detail_sections
 from .floor import Wall, estimated_maps, side_by_side
 from .interactive import TITLES, Figure
 from .page import Table as PageTable
@@ -22,7 +26,7 @@ from .place_words import place_words
 from .run_words import summary_words
 from .table import Table
 from .tables import run_table
-from .view import EventView, Line, OutageView, Path, RunView
+from .view import EventView, Line, OutageView, PartView, Path, RunView
 
 MOST_RUNS_WITH_MAPS = 4
 
@@ -33,7 +37,7 @@ def view_of(run: Run, summary: RunSummary) -> RunView:
 
     lines: list[Line] = []
     for role, end in run.ends.items():
-        lines += _signal(run, role, end) + _throughput(role, end)
+        lines += _signal(run, role, end) + _survey(role, end) + _throughput(role, end)
     probes = find_probes(run)
     lines += _delays(run, probes)
     lines += _truth(run)
@@ -51,6 +55,10 @@ def view_of(run: Run, summary: RunSummary) -> RunView:
         events=_events(run),
         notes=(*summary_words(summary), *(place_words(run) if summary.method == "linkrover" else ())),
         tables=tuple(page_table(table) for table in tables),
+        parts=tuple(
+            PartView(part.heading, tuple(part.words), tuple(page_table(table) for table in part.tables))
+            for part in detail_sections(summary)
+        ),
         recoveries=tuple(recovery_sentence(r) for r in summary.recoveries),
         setup={role: _setup(end.manifest) for role, end in run.ends.items() if end.manifest is not None},
         problems=summary.problems,
@@ -122,6 +130,25 @@ def _signal(run: Run, role: str, end: End) -> list[Line]:
         _, _, valid, _ = signal_steps(table, run.published_2021)
         rssi = np.where(valid, table["rssi_dbm"], np.nan)
         found.append(Line("rssi", f"RSSI at the {role} ({iface})", role, table["t_s"], rssi, iface=iface))
+    for iface, peer, table in peer_signals(run, role):
+        rssi = np.where(table["inactive_ms"] > HOLD_S * 1e3, np.nan, table["rssi_dbm"])
+        name = f"RSSI of {owner_of_mac(run, peer) or peer} at the {role} ({iface})"
+        found.append(Line("rssi", name, role, table["t_s"], rssi, iface=iface))
+    return found
+
+
+def _survey(role: str, end: End) -> list[Line]:
+    """Channel utilisation and noise; of several channels those in use, else the one surveyed most."""
+    used = {key: table for key, table in end.surveys.items() if (table["in_use"] == 1).any()}
+    if not used and end.surveys:
+        most = max(end.surveys, key=lambda key: len(end.surveys[key]["t_s"]))
+        used = {most: end.surveys[most]}
+    found = []
+    for (iface, mhz), table in used.items():
+        share, _ = busy_shares(table)
+        where = f"at the {role} ({iface}, {mhz} MHz)"
+        found.append(Line("channel", f"channel busy {where}", role, table["t_s"], 100.0 * share, iface=iface))
+        found.append(Line("noise", f"noise {where}", role, table["t_s"], table["noise_dbm"], iface=iface))
     return found
 
 

@@ -1,0 +1,193 @@
+"""Which topic fills the air, which connection retransmits, and why one end receives more than it sends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from linkrover.analysis.connections import ConnectionFigures
+from linkrover.analysis.summary import RunSummary
+from linkrover.analysis.topics import TopicFigures
+
+from .section import Section
+from .table import Column, Table
+
+MOST_LISTED = 15
+SMALL_MB = 0.001
+MORE_RECEIVED = 1.05
+
+
+def traffic_section(summary: RunSummary) -> Section:
+    """Topics, connections and the balance of both directions, as far as they were recorded."""
+    section = Section("Traffic")
+    topics = [t for t in summary.topics if t.on_host is not True and t.rate_mbps is not None]
+    connections = shown_connections(summary.connections)
+    section.words += topic_words(topics) + connection_words(connections)
+    if topics or connections or any(b.runs_roscore for b in summary.balance.values()):
+        section.words += balance_words(summary, topics)
+    if topics:
+        section.tables.append(topic_table(summary, topics))
+    if connections:
+        section.tables.append(connection_table(summary, connections))
+    return section
+
+
+def shown_connections(connections: Sequence[ConnectionFigures]) -> list[ConnectionFigures]:
+    """Those on the air that moved something; of one recorded at both ends only the sides that sent."""
+    both = {(c.local, c.remote) for c in connections}
+
+    def kept(c: ConnectionFigures) -> bool:
+        sent, received = c.sent_mb or 0.0, c.received_mb or 0.0
+        if c.on_host or sent + received <= 0:
+            return False
+        return bool(c.retransmits) or sent >= SMALL_MB or (c.remote, c.local) not in both
+
+    return [c for c in connections if kept(c)]
+
+
+def topic_table(summary: RunSummary, topics: Sequence[TopicFigures]) -> Table:
+    """One topic, node and peer a row, the busiest first."""
+    columns = (
+        Column("topic"),
+        Column("at"),
+        Column("way"),
+        Column("node"),
+        Column("peer"),
+        Column("rate (Mbit/s)", 3, short="Mbit/s"),
+        Column("share of what the interface carried that way (%)", 1, short="share %"),
+        Column("messages/s", 1, short="msg/s"),
+        Column("a message (kB)", 1, short="kB each"),
+        Column("retransmits", 0, short="retr."),
+        Column("TCP round trip, 95th percentile (ms)", 1, short="rtt p95 ms"),
+    )
+    table = Table("Topics on the air", columns, name=f"topics-{summary.run}")
+    for t in topics[:MOST_LISTED]:
+        row: list[str | float | int | None] = [t.topic, t.end, {"out": "sent", "in": "received"}.get(t.direction)]
+        row += [t.node, t.peer, t.rate_mbps, t.share_percent, t.messages_per_s, t.message_kb]
+        table.rows.append([*row, t.retransmits, t.rtt_p95_ms])
+    _left_out(table, len(topics), "topics")
+    inside = sum(t.on_host is True for t in summary.topics)
+    if inside:
+        table.notes.append(f"{inside} topics between nodes of one machine never reach the air and are left out.")
+    table.notes.append(
+        "From the nodes' own bus statistics; a topic between both ends stands once for each end that counted it. "
+        "Retransmits and round trip are of its TCP connection, joined by addresses, at the sending end."
+    )
+    return table
+
+
+def connection_table(summary: RunSummary, connections: Sequence[ConnectionFigures]) -> Table:
+    """One connection a row, those that retransmit most first."""
+    columns = (
+        Column("from"),
+        Column("to"),
+        Column("process"),
+        Column("topic"),
+        Column("sent (MB)", 2, short="sent MB"),
+        Column("received (MB)", 2, short="rcvd MB"),
+        Column("retransmits", 0, short="retr."),
+        Column("sent again (%)", 2, short="again %"),
+        Column("RTT median (ms)", 1, short="rtt ms"),
+        Column("RTT 95th percentile (ms)", 1, short="p95 ms"),
+        Column("congestion window (segments)", 0, short="cwnd"),
+        Column("limited by the receiver (%)", 0, short="rcv lim %"),
+        Column("by the send buffer (%)", 0, short="buf lim %"),
+    )
+    table = Table("TCP connections on the air", columns, name=f"connections-{summary.run}")
+    carried = topics_by_place(summary.topics)
+    for c in connections[:MOST_LISTED]:
+        row: list[str | float | int | None] = [f"{c.end} {c.local}", c.remote, c.process]
+        row += [carried.get((c.local, c.remote)), c.sent_mb, c.received_mb, c.retransmits, c.retransmitted_percent]
+        row += [c.rtt_median_ms, c.rtt_p95_ms, c.congestion_window_median]
+        table.rows.append([*row, c.receiver_limited_percent, c.buffer_limited_percent])
+    _left_out(table, len(connections), "connections")
+    inside = sum(c.on_host is True for c in summary.connections)
+    if inside:
+        table.notes.append(f"{inside} connections within one machine are left out.")
+    table.notes.append(
+        "As the kernel of the end named counts. RTT is its smoothed value at the samples before which something was "
+        "sent; it holds the wait in the queue before the radio. Limited: share of the time in which there was "
+        "something to send; where neither limit is large, the network was the limit."
+    )
+    return table
+
+
+def topics_by_place(topics: Sequence[TopicFigures]) -> dict[tuple[str, str], str]:
+    """Which topic a connection carries, by the addresses in the direction of its data."""
+    found: dict[tuple[str, str], str] = {}
+    for t in topics:
+        if t.local and t.remote:
+            found[(t.local, t.remote) if t.direction == "out" else (t.remote, t.local)] = t.topic
+    return found
+
+
+def _left_out(table: Table, count: int, what: str) -> None:
+    if count > MOST_LISTED:
+        table.notes.append(f"{count - MOST_LISTED} smaller {what} are not listed; --format json has all.")
+
+
+def topic_words(topics: Sequence[TopicFigures]) -> list[str]:
+    """Which topic fills the air."""
+    top = max(topics, key=lambda t: t.rate_mbps or 0.0, default=None)
+    if top is None or not top.rate_mbps:
+        return []
+    way = f"sent by the {top.end} to {top.peer}" if top.direction == "out" else f"received by the {top.end}"
+    share = f", {top.share_percent:.0f} % of what its interface carried that way" if top.share_percent else ""
+    return [f"Most of the air goes to {top.topic}, {way}: {top.rate_mbps:.2f} Mbit/s{share}."]
+
+
+def connection_words(connections: Sequence[ConnectionFigures]) -> list[str]:
+    """Which connection retransmits."""
+    counted = [c for c in connections if c.retransmits is not None]
+    worst = max(counted, key=lambda c: c.retransmits or 0.0, default=None)
+    if worst is None:
+        return []
+    if not worst.retransmits:
+        return ["No TCP connection on the air sent anything again."]
+    who = f" ({worst.process})" if worst.process else ""
+    share = worst.retransmitted_percent
+    part = f", {share:.2f} % of its bytes" if share is not None else ""
+    everything = sum(c.retransmits or 0.0 for c in counted)
+    of = f" of {everything:.0f} in all" if everything > worst.retransmits else ""
+    which = f"{worst.end} {worst.local} to {worst.remote}{who}"
+    return [f"Most retransmits: {which}: {worst.retransmits:.0f} segments{of}{part}."]
+
+
+def balance_words(summary: RunSummary, topics: Sequence[TopicFigures]) -> list[str]:
+    """Where received data exceed sent data, and why."""
+    words = []
+    ros = bool(topics) or any(b.runs_roscore is not None for b in summary.balance.values())
+    roscore = next((role for role, b in summary.balance.items() if b.runs_roscore), None)
+    for role, b in summary.balance.items():
+        exceeds = b.received_to_sent is not None and b.received_to_sent > MORE_RECEIVED
+        if not exceeds and role != roscore:
+            continue
+        side = ", the roscore's side" if role == roscore else ""
+        verdict = "received data exceed sent data" if exceeds else "received data do not exceed sent data"
+        figures = f"{b.received_mbps:.2f} Mbit/s received, {b.sent_mbps:.2f} sent"
+        cause = _cause(role, topics, exceeds=exceeds) if ros else _PLAIN_CAUSE
+        words.append(f"At the {role}{side}, {verdict} ({b.iface}: {figures}). {cause}")
+    robot, station = summary.balance.get("robot"), summary.balance.get("station")
+    if words and robot is not None and station is not None:
+        words.append(
+            f"The robot sent {robot.sent_mbps:.2f} Mbit/s, the station received {station.received_mbps:.2f}; the "
+            f"station sent {station.sent_mbps:.2f}, the robot received {robot.received_mbps:.2f}. Less received than "
+            "sent was lost or dropped on the way; more came from other senders."
+        )
+    return words
+
+
+_PLAIN_CAUSE = "It is the side that takes in the bulk of the data, and sends back little but acknowledgements."
+
+
+def _cause(role: str, topics: Sequence[TopicFigures], *, exceeds: bool) -> str:
+    why = (
+        "Data go straight from publisher to subscriber; the roscore only tells them of each other, so where it runs "
+        "does not decide this: the side that subscribes to the heavy topics receives more, and sends back little but "
+        "acknowledgements."
+    )
+    wanted = "in" if exceeds else "out"
+    heavy = [t for t in topics if t.end == role and t.direction == wanted and t.rate_mbps]
+    if heavy:
+        named = ", ".join(f"{t.topic} {t.rate_mbps:.2f} Mbit/s" for t in heavy[:3])
+        return f"{why} Here it {'subscribes to' if exceeds else 'publishes'} {named}."
+    return f"{why} Which topics they are was not recorded at this end (`linkrover ros1` records topic statistics)."
