@@ -61,12 +61,13 @@ def ping(node: Middleware, action: str, count: str, period_ms: str, deadline_ms:
         deadline_ns=int(float(deadline_ms) * 1e6),
     )
     wait_joined(node)
-    prober.start()
+    job = prober.start()
     until = time.monotonic_ns() + int(WAIT_S * 1e9)
     while prober.answered + prober.lost < int(count) and time.monotonic_ns() < until:
         if not state["begun"]:
             prober.lost = 0
         loop.run(time.monotonic_ns() + 20_000_000)
+    job.cancel()  # or one is in flight when they are counted
     loop.run(time.monotonic_ns() + int(float(deadline_ms) * 1e6) + 100_000_000)
     say(
         "counts",
