@@ -9,7 +9,7 @@ demo:
 	@.venv/bin/linkrover demo $(DEMO)
 
 test:
-	@scripts/system-packages python ros1 wifi browser
+	@scripts/system-packages python programs ros1 wifi browser
 	@scripts/venv test
 	@scripts/check
 
