@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from urllib.parse import urlparse
 
 import msgspec
 
 from .addresses import own_addresses
+from .link import ThroughputFigures
 from .run import End, Run
 from .topics import TopicFigures
 
@@ -25,22 +26,20 @@ class BalanceFigures(msgspec.Struct, frozen=True, kw_only=True):
     reason: str | None = None
 
 
-def balance_figures(run: Run, topics: Sequence[TopicFigures]) -> dict[str, BalanceFigures]:
-    """By end, where its interface's counters were recorded."""
-    return {role: found for role, end in run.ends.items() if (found := _balance(run, role, end, topics)) is not None}
+def balance_figures(
+    run: Run, throughputs: Mapping[str, ThroughputFigures], topics: Sequence[TopicFigures]
+) -> dict[str, BalanceFigures]:
+    """By end. throughputs: of each end's primary interface; an end without is left out."""
+    return {
+        role: _balance(run, role, throughput, topics)
+        for role, throughput in throughputs.items()
+        if throughput.tx_mean is not None and throughput.rx_mean is not None
+    }
 
 
-def _balance(run: Run, role: str, end: End, topics: Sequence[TopicFigures]) -> BalanceFigures | None:
-    import numpy as np
-
-    iface = end.primary
-    moved = end.utilization.get(iface) if iface is not None else None
-    if iface is None or moved is None or not moved["has_base"].any():
-        return None
-    seconds = float((moved["t_s"] - moved["begin_s"])[moved["has_base"]].sum())
-    if seconds <= 0:
-        return None
-    sent, received = (float(np.nansum(moved[f"{way}_bits"])) / seconds / 1e6 for way in ("tx", "rx"))
+def _balance(run: Run, role: str, throughput: ThroughputFigures, topics: Sequence[TopicFigures]) -> BalanceFigures:
+    end = run.ends[role]
+    sent, received = throughput.tx_mean or 0.0, throughput.rx_mean or 0.0
     mine = [t for t in topics if t.end == role and t.on_host is not True and t.rate_mbps is not None]
     sums = {way: sum(t.rate_mbps or 0.0 for t in mine if t.direction == way) for way in ("out", "in")}
     recorded = any(t.end == role for t in topics)
@@ -51,7 +50,7 @@ def _balance(run: Run, role: str, end: End, topics: Sequence[TopicFigures]) -> B
     if roscore is None:
         why.append("runs_roscore: no ROS 1 master is named in the recordings")
     return BalanceFigures(
-        iface=iface,
+        iface=end.primary or "",
         sent_mbps=sent,
         received_mbps=received,
         received_to_sent=received / sent if sent > 0 else None,

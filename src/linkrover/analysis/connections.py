@@ -64,12 +64,24 @@ def connection_figures(run: Run) -> list[ConnectionFigures]:
 def _of_end(role: str, end: End) -> list[ConnectionFigures]:
     found: dict[tuple[str, str], ConnectionFigures] = {}
     for iface, every in end.connections.items():
-        first = float(every["t_s"].min())
+        first = _first_look(end, every)
         for (local, remote), table in by_names(every, "local", "remote").items():
             one = _connection(role, end, iface, local, remote, table, first)
             if (local, remote) not in found:  # a wildcard view of two interfaces may show one connection twice
                 found[local, remote] = one
     return list(found.values())
+
+
+def _first_look(end: End, every: Columns) -> float:
+    """Until when a connection that was there from the start must have been seen: a look that finds none leaves no
+    record, so the end's other samples say when looking began.
+    """
+    import numpy as np
+
+    looks = np.unique(every["t_s"])
+    period = float(np.median(np.diff(looks))) if len(looks) > 1 else 1.0
+    began = [float(table["t_s"][0]) for table in (*end.utilization.values(), *end.errors.values())]
+    return min([float(looks[0]), *(start + 0.9 * period for start in began)])
 
 
 def _connection(
@@ -81,7 +93,7 @@ def _connection(
     nothing = np.full(len(t), np.nan)
     inside = stays_inside(end, local, remote)
     # not there at the first look: it began while it was watched, so its counters began at zero
-    born = bool(t[0] > first_s + 0.05)
+    born = bool(t[0] > first_s)
 
     def risen(name: str) -> float | None:
         return rise(table.get(name), from_zero=born)

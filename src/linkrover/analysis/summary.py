@@ -187,7 +187,7 @@ def _summarise(run: Run, outage_threshold_s: float) -> RunSummary:
         neighbourhoods=neighbourhoods(run),
         connections=connections,
         topics=topics,
-        balance=balance_figures(run, topics),
+        balance=balance_figures(run, _primary_throughput(whole.ends), topics),
         account=account_figures(run),
         outage_threshold_s=outage_threshold_s,
         motion=motion_figures(run, still, rule),
@@ -197,6 +197,12 @@ def _summarise(run: Run, outage_threshold_s: float) -> RunSummary:
         repairs=run.repairs,
         reason=_identity_reason(run),
     )
+
+
+def _primary_throughput(ends: dict[str, EndFigures]) -> dict[str, ThroughputFigures]:
+    return {
+        role: end.interfaces[end.primary].throughput_mbps for role, end in ends.items() if end.primary in end.interfaces
+    }
 
 
 def _identity_reason(run: Run) -> str | None:

@@ -8,7 +8,7 @@ from linkrover.analysis.stations import StationFigures
 from linkrover.analysis.summary import RunSummary
 
 from .section import Section
-from .table import Column, Table
+from .table import Column, Table, without_unknown
 
 MOST_LISTED = 20
 
@@ -52,7 +52,7 @@ def station_table(summary: RunSummary) -> Table:
         "As the driver of the end that sees it counts; PHY rates are those of single frames, not throughput. "
         f"An MCS number's meaning depends on its mode. Unknown ({'–'}) is what the driver does not give, not zero."
     )
-    return table
+    return without_unknown(table)
 
 
 def peer_name(station: StationFigures) -> str:
@@ -94,7 +94,7 @@ def channel_table(summary: RunSummary) -> Table:
         "Shares of the time the radio listened to the channel. Busy less receiving and sending is what it heard but "
         "could not decode: other networks and interference."
     )
-    return table
+    return without_unknown(table)
 
 
 def _tells(channel: ChannelFigures) -> bool:
@@ -135,7 +135,7 @@ def neighbour_table(summary: RunSummary) -> Table:
     if left_out:
         table.notes.append(f"{left_out} weaker ones are not listed.")
     table.notes.append("Load and stations are what the access point announces of its channel (BSS Load element).")
-    return table
+    return without_unknown(table)
 
 
 def overlap_words(neighbour: NeighbourFigures) -> str | None:

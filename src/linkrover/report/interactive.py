@@ -60,6 +60,8 @@ def _trace(line: Line, axis: str, dash: str, most: int) -> dict[str, Any]:
             trace["line"] |= {"width": 1.0, "dash": "dot"}
         if line.kind in ("throughput", "channel"):
             trace["line"]["shape"] = "vh"  # a rate belongs to the interval that ends at its stamp
+        if line.kind == "channel":  # few drivers survey without a break: a single value shows too
+            trace |= {"mode": "lines+markers", "marker": {"size": 4, "color": colour}}
     return trace
 
 

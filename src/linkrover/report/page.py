@@ -132,6 +132,6 @@ def _table_html(table: Table) -> str:
         "<tr>" + "".join(cell(r, c, text) for c, text in enumerate(row)) + "</tr>" for r, row in enumerate(table.rows)
     )
     return (
-        f'<table id="{escape(table.name, quote=True)}"><caption>{escape(table.caption)}</caption>'
+        f'<table id="{escape(table.name, quote=True)}"><caption><span>{escape(table.caption)}</span></caption>'
         f"<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
     )

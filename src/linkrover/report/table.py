@@ -52,6 +52,22 @@ class Table:
         return show(self.rows[i][j], self.columns[j])
 
 
+def without_unknown(table: Table) -> Table:
+    """The same without the columns in which nothing is known, named in a note."""
+    empty = [j for j in range(len(table.columns)) if all(row[j] is None for row in table.rows)]
+    if not empty or not table.rows:
+        return table
+    kept = [j for j in range(len(table.columns)) if j not in empty]
+    names = ", ".join(table.columns[j].heading for j in empty)
+    return Table(
+        table.title,
+        tuple(table.columns[j] for j in kept),
+        [[row[j] for j in kept] for row in table.rows],
+        [*table.notes, f"Not known for any row: {names}."],
+        table.name,
+    )
+
+
 def show(value: str | float | int | None, column: Column) -> str:
     """A value with its column's decimals; rounded, or truncated where the paper did so."""
     if value is None:

@@ -9,7 +9,7 @@ from linkrover.analysis.summary import RunSummary
 from linkrover.analysis.topics import TopicFigures
 
 from .section import Section
-from .table import Column, Table
+from .table import Column, Table, without_unknown
 
 MOST_LISTED = 15
 SMALL_MB = 0.001
@@ -72,18 +72,19 @@ def topic_table(summary: RunSummary, topics: Sequence[TopicFigures]) -> Table:
         "From the nodes' own bus statistics; a topic between both ends stands once for each end that counted it. "
         "Retransmits and round trip are of its TCP connection, joined by addresses, at the sending end."
     )
-    return table
+    return without_unknown(table)
 
 
 def connection_table(summary: RunSummary, connections: Sequence[ConnectionFigures]) -> Table:
     """One connection a row, those that retransmit most first."""
+    carried = topics_by_place(summary.topics)
     columns = (
         Column("from"),
         Column("to"),
         Column("process"),
         Column("topic"),
-        Column("sent (MB)", 2, short="sent MB"),
-        Column("received (MB)", 2, short="rcvd MB"),
+        Column("sent (MB)", 3, short="sent MB"),
+        Column("received (MB)", 3, short="rcvd MB"),
         Column("retransmits", 0, short="retr."),
         Column("sent again (%)", 2, short="again %"),
         Column("RTT median (ms)", 1, short="rtt ms"),
@@ -93,7 +94,6 @@ def connection_table(summary: RunSummary, connections: Sequence[ConnectionFigure
         Column("by the send buffer (%)", 0, short="buf lim %"),
     )
     table = Table("TCP connections on the air", columns, name=f"connections-{summary.run}")
-    carried = topics_by_place(summary.topics)
     for c in connections[:MOST_LISTED]:
         row: list[str | float | int | None] = [f"{c.end} {c.local}", c.remote, c.process]
         row += [carried.get((c.local, c.remote)), c.sent_mb, c.received_mb, c.retransmits, c.retransmitted_percent]
@@ -108,7 +108,7 @@ def connection_table(summary: RunSummary, connections: Sequence[ConnectionFigure
         "sent; it holds the wait in the queue before the radio. Limited: share of the time in which there was "
         "something to send; where neither limit is large, the network was the limit."
     )
-    return table
+    return without_unknown(table)
 
 
 def topics_by_place(topics: Sequence[TopicFigures]) -> dict[tuple[str, str], str]:
@@ -142,7 +142,7 @@ def connection_words(connections: Sequence[ConnectionFigures]) -> list[str]:
     if worst is None:
         return []
     if not worst.retransmits:
-        return ["No TCP connection on the air sent anything again."]
+        return ["No TCP connection seen on the air sent anything again."]
     who = f" ({worst.process})" if worst.process else ""
     share = worst.retransmitted_percent
     part = f", {share:.2f} % of its bytes" if share is not None else ""

@@ -106,14 +106,14 @@ def _maps(run: Run, among: int, walls: Sequence[Wall]) -> Figure | None:
 
 def page_table(table: Table) -> PageTable:
     """A table for the page."""
-    numeric = {j for row in table.rows for j, value in enumerate(row) if isinstance(value, (int, float))}
+    words = {j for row in table.rows for j, value in enumerate(row) if isinstance(value, str)}
     return PageTable(
         name=table.name,
         caption=". ".join([table.title, " ".join(table.notes)]) if table.notes else table.title,
         head=tuple(column.heading for column in table.columns),
         rows=tuple(tuple(table.text(i, j) for j in range(len(table.columns))) for i in range(len(table.rows))),
         best=frozenset(table.best()),
-        text_columns=frozenset(set(range(len(table.columns))) - numeric),
+        text_columns=frozenset(words or {0}),
     )
 
 
