@@ -35,13 +35,13 @@ def station_table(summary: RunSummary) -> Table:
         Column("RSSI (dBm)", 1, short="dBm"),
         Column("std", 1),
         Column("PHY rate to it, median (Mbit/s)", 1, short="to it Mbit/s"),
-        Column("MCS to it", short="MCS"),
+        Column("MCS to it", short="MCS", spare=True),
         Column("PHY rate from it, median (Mbit/s)", 1, short="from it Mbit/s"),
         Column("retries per 100 frames", 1, short="retries %"),
         Column("frames given up", 0, short="given up"),
-        Column("sent to it (MB)", 2, short="to it MB"),
-        Column("received from it (MB)", 2, short="from it MB"),
-        Column("associations", 0, short="assoc."),
+        Column("sent to it (MB)", 2, short="to it MB", spare=True),
+        Column("received from it (MB)", 2, short="from it MB", spare=True),
+        Column("associations", 0, short="assoc.", spare=True),
     )
     table = Table("Each wireless peer apart", columns, name=f"stations-{summary.run}")
     for s in summary.stations:
@@ -75,12 +75,12 @@ def channel_table(summary: RunSummary) -> Table:
         Column("seen by"),
         Column("channel"),
         Column("busy (%)", 1, short="busy %"),
-        Column("busy, 95th percentile (%)", 1, short="95th %"),
+        Column("busy, 95th percentile (%)", 1, short="95th %", spare=True),
         Column("own receiving (%)", 1, short="rx %"),
         Column("own sending (%)", 1, short="tx %"),
         Column("noise, median (dBm)", 0, short="noise dBm"),
-        Column("noise, worst (dBm)", 0, short="worst dBm"),
-        Column("listened (s)", 1, short="listened s"),
+        Column("noise, worst (dBm)", 0, short="worst dBm", spare=True),
+        Column("listened (s)", 1, short="listened s", spare=True),
     )
     table = Table("How busy the channel was", columns, name=f"channels-{summary.run}")
     for c in summary.channels:
@@ -113,15 +113,15 @@ def neighbour_table(summary: RunSummary) -> Table:
     columns = (
         Column("seen by"),
         Column("network"),
-        Column("BSSID"),
+        Column("BSSID", spare=True),
         Column("channel"),
-        Column("width (MHz)", 0, short="MHz"),
+        Column("width (MHz)", 0, short="MHz", spare=True),
         Column("to ours"),
-        Column("RSSI median (dBm)", 0, short="dBm"),
+        Column("RSSI median (dBm)", 0, short="dBm", spare=True),
         Column("strongest (dBm)", 0, short="best dBm"),
         Column("its channel load (%)", 0, short="load %"),
-        Column("its stations", 1, short="stations"),
-        Column("in scans", 0, short="scans"),
+        Column("its stations", 1, short="stations", spare=True),
+        Column("in scans", 0, short="scans", spare=True),
     )
     table = Table("Networks in reach", columns, name=f"neighbours-{summary.run}")
     left_out = 0

@@ -18,15 +18,15 @@ def cost_section(summary: RunSummary) -> Section:
     columns = (
         Column("agent at"),
         Column("CPU (% of a core)", 2, short="CPU %"),
-        Column("busiest account (%)", 1, short="max %"),
-        Column("memory (MB)", 1, short="MB"),
-        Column("samples", 0),
+        Column("busiest account (%)", 1, short="max %", spare=True),
+        Column("memory (MB)", 1, short="MB", spare=True),
+        Column("samples", 0, spare=True),
         Column("slots missed", 0, short="missed"),
-        Column("late, median (ms)", 2, short="late ms"),
+        Column("late, median (ms)", 2, short="late ms", spare=True),
         Column("late, worst (ms)", 1, short="worst ms"),
-        Column("records", 0),
+        Column("records", 0, spare=True),
         Column("records lost", 0, short="lost"),
-        Column("recording (kbit/s)", 1, short="kbit/s"),
+        Column("recording (kbit/s)", 1, short="kbit/s", spare=True),
     )
     table = Table("The instrument's own account", columns, name=f"account-{summary.run}")
     for role, a in summary.account.items():

@@ -21,6 +21,7 @@ class Column:
     better: Better | None = None
     truncate: bool = False  # the paper printed truncated, not rounded
     short: str = ""  # heading on a terminal, where there is little room
+    spare: bool = False  # the first to go where a terminal is too narrow, as spreads are
 
 
 @dataclass(slots=True)
@@ -136,7 +137,9 @@ def comma_separated(table: Table) -> str:
 
 
 def terminal(table: Table, width: int = 100) -> object:
-    """A rich table of at most `width` characters, best values in bold green; where it is too wide, spreads go first."""
+    """A rich table of at most `width` characters, best values in bold green; where it is too wide, spreads
+    and spare columns go, the last ones first.
+    """
     from rich.box import SIMPLE_HEAD
     from rich.markup import escape
     from rich.table import Table as RichTable
@@ -150,24 +153,38 @@ def terminal(table: Table, width: int = 100) -> object:
     for j in range(len(heads) - 1, 0, -1):
         if sum(least[k] + 2 for k in shown) + 2 <= width:
             break
-        if heads[j] in ("std", "±"):
+        if heads[j] in ("std", "±") or table.columns[j].spare:
             shown.remove(j)
-    left_out = len(shown) < len(heads)
-    notes = [*table.notes, *(["The terminal is too narrow for the spreads; --format md has them."] if left_out else [])]
+    left_out = list(dict.fromkeys(heads[j] for j in range(len(heads)) if j not in shown))
+    narrow = f"The terminal is too narrow for: {', '.join(left_out)}; --format md has them."
+    notes = [*table.notes, *([narrow] if left_out else [])]
     out = RichTable(title=escape(table.title), title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     out.caption = "\n".join(escape(note) for note in notes) or None
     out.caption_justify = "left"
+    full = [max(len(heads[j]), *(len(row[j]) for row in texts), 1) for j in range(len(heads))]
+    widths = _shared_out({j: least[j] for j in shown}, full, width - 2 - 2 * len(shown))
     for j in shown:
-        out.add_column(escape(heads[j]), justify="right" if numeric[j] else "left", min_width=least[j], overflow="fold")
+        out.add_column(escape(heads[j]), justify="right" if numeric[j] else "left", width=widths[j], overflow="fold")
     for i, row in enumerate(texts):
         out.add_row(*(f"[bold green]{escape(row[j])}[/]" if (i, j) in best else escape(row[j]) for j in shown))
     return out
 
 
+def _shared_out(least: dict[int, int], full: list[int], room: int) -> dict[int, int]:
+    """Column widths between least and full: what room is left goes where least is missing first."""
+    widths = dict(least)
+    left = room - sum(widths.values())
+    for j in sorted(widths, key=lambda j: full[j] - widths[j]):
+        more = max(0, min(full[j] - widths[j], left))
+        widths[j] += more
+        left -= more
+    return widths
+
+
 def _least_width(heading: str, cells: list[str], *, wrap: bool) -> int:
-    """The narrowest a column may be: its longest word, at most 14; numbers are never broken."""
+    """The narrowest a column may be: its longest word, at most 16; numbers are never broken."""
     words = [word for text in ([heading, *cells] if wrap else [heading]) for word in text.split()]
-    longest = min(14, max((len(word) for word in words), default=1))
+    longest = min(16, max((len(word) for word in words), default=1))
     return longest if wrap else max(longest, *(len(cell) for cell in cells), 1)
 
 

@@ -14,12 +14,13 @@ from .table import Column, Table, without_unknown
 MOST_LISTED = 15
 SMALL_MB = 0.001
 MORE_RECEIVED = 1.05
+WORTH_NAMING = 0.05  # of the heaviest topic
 
 
 def traffic_section(summary: RunSummary) -> Section:
     """Topics, connections and the balance of both directions, as far as they were recorded."""
     section = Section("Traffic")
-    topics = [t for t in summary.topics if t.on_host is not True and t.rate_mbps is not None]
+    topics = [t for t in summary.topics if t.on_host is not True and t.rate_mbps]
     connections = shown_connections(summary.connections)
     section.words += topic_words(topics) + connection_words(connections)
     if topics or connections or any(b.runs_roscore for b in summary.balance.values()):
@@ -44,33 +45,40 @@ def shown_connections(connections: Sequence[ConnectionFigures]) -> list[Connecti
     return [c for c in connections if kept(c)]
 
 
+def counted_once(topics: Sequence[TopicFigures]) -> list[TopicFigures]:
+    """Without the receiving end's count of what the sending end counted too."""
+    sent = {(t.topic, t.local, t.remote) for t in topics if t.direction == "out" and t.local}
+    return [t for t in topics if t.direction == "out" or (t.topic, t.remote, t.local) not in sent]
+
+
 def topic_table(summary: RunSummary, topics: Sequence[TopicFigures]) -> Table:
     """One topic, node and peer a row, the busiest first."""
     columns = (
         Column("topic"),
         Column("at"),
         Column("way"),
-        Column("node"),
+        Column("node", spare=True),
         Column("peer"),
         Column("rate (Mbit/s)", 3, short="Mbit/s"),
         Column("share of what the interface carried that way (%)", 1, short="share %"),
-        Column("messages/s", 1, short="msg/s"),
-        Column("a message (kB)", 1, short="kB each"),
+        Column("messages/s", 1, short="msg/s", spare=True),
+        Column("a message (kB)", 1, short="kB each", spare=True),
         Column("retransmits", 0, short="retr."),
-        Column("TCP round trip, 95th percentile (ms)", 1, short="rtt p95 ms"),
+        Column("TCP round trip, 95th percentile (ms)", 1, short="rtt p95 ms", spare=True),
     )
     table = Table("Topics on the air", columns, name=f"topics-{summary.run}")
-    for t in topics[:MOST_LISTED]:
+    once = counted_once(topics)
+    for t in once[:MOST_LISTED]:
         row: list[str | float | int | None] = [t.topic, t.end, {"out": "sent", "in": "received"}.get(t.direction)]
         row += [t.node, t.peer, t.rate_mbps, t.share_percent, t.messages_per_s, t.message_kb]
         table.rows.append([*row, t.retransmits, t.rtt_p95_ms])
-    _left_out(table, len(topics), "topics")
+    _left_out(table, len(once), "flows")
     inside = sum(t.on_host is True for t in summary.topics)
     if inside:
-        table.notes.append(f"{inside} topics between nodes of one machine never reach the air and are left out.")
+        table.notes.append(f"{inside} flows between nodes of one machine never reach the air and are left out.")
     table.notes.append(
-        "From the nodes' own bus statistics; a topic between both ends stands once for each end that counted it. "
-        "Retransmits and round trip are of its TCP connection, joined by addresses, at the sending end."
+        "From the nodes' own bus statistics; of what both ends counted the sender's row stands. Retransmits and round "
+        "trip are of its TCP connection, joined by addresses, at the sending end."
     )
     return without_unknown(table)
 
@@ -81,17 +89,17 @@ def connection_table(summary: RunSummary, connections: Sequence[ConnectionFigure
     columns = (
         Column("from"),
         Column("to"),
-        Column("process"),
+        Column("process", spare=True),
         Column("topic"),
         Column("sent (MB)", 3, short="sent MB"),
-        Column("received (MB)", 3, short="rcvd MB"),
+        Column("received (MB)", 3, short="rcvd MB", spare=True),
         Column("retransmits", 0, short="retr."),
         Column("sent again (%)", 2, short="again %"),
-        Column("RTT median (ms)", 1, short="rtt ms"),
+        Column("RTT median (ms)", 1, short="rtt ms", spare=True),
         Column("RTT 95th percentile (ms)", 1, short="p95 ms"),
-        Column("congestion window (segments)", 0, short="cwnd"),
-        Column("limited by the receiver (%)", 0, short="rcv lim %"),
-        Column("by the send buffer (%)", 0, short="buf lim %"),
+        Column("congestion window (segments)", 0, short="cwnd", spare=True),
+        Column("limited by the receiver (%)", 0, short="rcv lim %", spare=True),
+        Column("by the send buffer (%)", 0, short="buf lim %", spare=True),
     )
     table = Table("TCP connections on the air", columns, name=f"connections-{summary.run}")
     for c in connections[:MOST_LISTED]:
@@ -164,8 +172,10 @@ def balance_words(summary: RunSummary, topics: Sequence[TopicFigures]) -> list[s
         side = ", the roscore's side" if role == roscore else ""
         verdict = "received data exceed sent data" if exceeds else "received data do not exceed sent data"
         figures = f"{b.received_mbps:.2f} Mbit/s received, {b.sent_mbps:.2f} sent"
-        cause = _cause(role, topics, exceeds=exceeds) if ros else _PLAIN_CAUSE
-        words.append(f"At the {role}{side}, {verdict} ({b.iface}: {figures}). {cause}")
+        cause = _heavy(role, topics, exceeds=exceeds) if ros else ""
+        words.append(f"At the {role}{side}, {verdict} ({b.iface}: {figures}){cause}.")
+    if words:
+        words.append(_ROS_CAUSE if ros else _PLAIN_CAUSE)
     robot, station = summary.balance.get("robot"), summary.balance.get("station")
     if words and robot is not None and station is not None:
         words.append(
@@ -176,18 +186,23 @@ def balance_words(summary: RunSummary, topics: Sequence[TopicFigures]) -> list[s
     return words
 
 
-_PLAIN_CAUSE = "It is the side that takes in the bulk of the data, and sends back little but acknowledgements."
+_PLAIN_CAUSE = "The side that takes in the bulk of the data sends back little but acknowledgements."
+_ROS_CAUSE = (
+    "Data go straight from publisher to subscriber; the roscore only tells them of each other, so where it runs does "
+    "not decide this: the side that subscribes to the heavy topics receives more, and sends back little but "
+    "acknowledgements."
+)
 
 
-def _cause(role: str, topics: Sequence[TopicFigures], *, exceeds: bool) -> str:
-    why = (
-        "Data go straight from publisher to subscriber; the roscore only tells them of each other, so where it runs "
-        "does not decide this: the side that subscribes to the heavy topics receives more, and sends back little but "
-        "acknowledgements."
-    )
+def _heavy(role: str, topics: Sequence[TopicFigures], *, exceeds: bool) -> str:
+    """The topics that make the difference at one end."""
     wanted = "in" if exceeds else "out"
-    heavy = [t for t in topics if t.end == role and t.direction == wanted and t.rate_mbps]
-    if heavy:
-        named = ", ".join(f"{t.topic} {t.rate_mbps:.2f} Mbit/s" for t in heavy[:3])
-        return f"{why} Here it {'subscribes to' if exceeds else 'publishes'} {named}."
-    return f"{why} Which topics they are was not recorded at this end (`linkrover ros1` records topic statistics)."
+    rates: dict[str, float] = {}
+    for t in topics:
+        if t.end == role and t.direction == wanted and t.rate_mbps:
+            rates[t.topic] = rates.get(t.topic, 0.0) + t.rate_mbps
+    if not rates:
+        return ""
+    most = max(rates.values())
+    named = [f"{topic} at {rate:.2f} Mbit/s" for topic, rate in rates.items() if rate > WORTH_NAMING * most]
+    return f": it {'subscribes to' if exceeds else 'publishes'} {', '.join(named[:3])}"
