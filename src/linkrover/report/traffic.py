@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from linkrover.analysis.connections import ConnectionFigures
@@ -56,31 +57,37 @@ def topic_table(summary: RunSummary, topics: Sequence[TopicFigures]) -> Table:
     columns = (
         Column("topic"),
         Column("at"),
-        Column("way"),
         Column("node", spare=True),
         Column("peer"),
         Column("rate (Mbit/s)", 3, short="Mbit/s"),
-        Column("share of what the interface carried that way (%)", 1, short="share %"),
+        Column("share (%)", 1, short="share %"),
         Column("messages/s", 1, short="msg/s", spare=True),
         Column("a message (kB)", 1, short="kB each", spare=True),
         Column("retransmits", 0, short="retr."),
-        Column("TCP round trip, 95th percentile (ms)", 1, short="rtt p95 ms", spare=True),
+        Column("RTT 95th percentile (ms)", 1, short="rtt p95 ms", spare=True),
     )
     table = Table("Topics on the air", columns, name=f"topics-{summary.run}")
     once = counted_once(topics)
     for t in once[:MOST_LISTED]:
-        row: list[str | float | int | None] = [t.topic, t.end, {"out": "sent", "in": "received"}.get(t.direction)]
-        row += [t.node, t.peer, t.rate_mbps, t.share_percent, t.messages_per_s, t.message_kb]
+        way = {"out": "sends", "in": "receives"}.get(t.direction, t.direction)
+        row: list[str | float | int | None] = [t.topic, f"{t.end} {way}", short_name(t.node), short_name(t.peer)]
+        row += [t.rate_mbps, t.share_percent, t.messages_per_s, t.message_kb]
         table.rows.append([*row, t.retransmits, t.rtt_p95_ms])
     _left_out(table, len(once), "flows")
     inside = sum(t.on_host is True for t in summary.topics)
     if inside:
         table.notes.append(f"{inside} flows between nodes of one machine never reach the air and are left out.")
     table.notes.append(
-        "From the nodes' own bus statistics; of what both ends counted the sender's row stands. Retransmits and round "
-        "trip are of its TCP connection, joined by addresses, at the sending end."
+        "From the nodes' own bus statistics; of what both ends counted the sender's row stands. Share: of all that its "
+        "interface carried in that direction meanwhile. Retransmits and RTT: of its TCP connection, joined by "
+        "addresses, at the sending end. A * stands for the number of an anonymous node."
     )
     return without_unknown(table)
+
+
+def short_name(node: str) -> str:
+    """A node's name without the process number and time that anonymous ones carry (rospy, roscpp)."""
+    return re.sub(r"(_\d+)?_\d{13,19}$", "*", node)
 
 
 def connection_table(summary: RunSummary, connections: Sequence[ConnectionFigures]) -> Table:
@@ -138,7 +145,7 @@ def topic_words(topics: Sequence[TopicFigures]) -> list[str]:
     top = max(topics, key=lambda t: t.rate_mbps or 0.0, default=None)
     if top is None or not top.rate_mbps:
         return []
-    way = f"sent by the {top.end} to {top.peer}" if top.direction == "out" else f"received by the {top.end}"
+    way = f"sent by the {top.end} to {short_name(top.peer)}" if top.direction == "out" else f"received by the {top.end}"
     share = f", {top.share_percent:.0f} % of what its interface carried that way" if top.share_percent else ""
     return [f"Most of the air goes to {top.topic}, {way}: {top.rate_mbps:.2f} Mbit/s{share}."]
 

@@ -126,14 +126,23 @@ def _path(run: Run) -> Path | None:
 
 def _signal(run: Run, role: str, end: End) -> list[Line]:
     found = []
+    peers = peer_signals(run, role)
+    several = {iface for iface, _, _ in peers}
     for iface, table in end.wireless.items():
+        if iface in several:
+            continue
         _, _, valid, _ = signal_steps(table, run.published_2021)
         rssi = np.where(valid, table["rssi_dbm"], np.nan)
         found.append(Line("rssi", f"RSSI at the {role} ({iface})", role, table["t_s"], rssi, iface=iface))
-    for iface, peer, table in peer_signals(run, role):
-        rssi = np.where(table["inactive_ms"] > HOLD_S * 1e3, np.nan, table["rssi_dbm"])
-        name = f"RSSI of {owner_of_mac(run, peer) or peer} at the {role} ({iface})"
-        found.append(Line("rssi", name, role, table["t_s"], rssi, iface=iface))
+    for iface in several:
+        mine = [(peer, table) for at, peer, table in peers if at == iface]
+        # the path is this run's robot's: another one's signal is no colour for it
+        ours = max(mine, key=lambda one: (owner_of_mac(run, one[0]) is not None, len(one[1]["t_s"])))[0]
+        for peer, table in mine:
+            rssi = np.where(table["inactive_ms"] > HOLD_S * 1e3, np.nan, table["rssi_dbm"])
+            name = f"RSSI of {owner_of_mac(run, peer) or peer} at the {role} ({iface})"
+            direction = "" if peer == ours else "other"
+            found.append(Line("rssi", name, role, table["t_s"], rssi, iface=iface, direction=direction))
     return found
 
 
