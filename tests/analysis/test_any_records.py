@@ -16,19 +16,29 @@ from linkrover.analysis.regression import METRICS, compare_runs, parse_limit
 from linkrover.analysis.space import cell_figures, dead_zones, link_budget, locate_anchor
 from linkrover.errors import LinkRoverError
 from linkrover.records import (
+    Bitrate,
+    ChannelSurvey,
     ClockOffset,
     Continuity,
     LinkUtilization,
+    Neighbour,
     NetworkDelay,
     NetworkErrors,
+    Overlap,
     Pose,
     ProbeResult,
     ProbeState,
     Record,
+    ScanSnapshot,
+    SelfAccount,
+    StationLink,
+    TcpConnection,
+    TopicTraffic,
     VelocityCommand,
     WirelessLink,
 )
 from linkrover.report.document import as_latex, as_markdown, build_document
+from linkrover.report.views import view_of
 
 T0 = 1_790_000_000_000_000_000
 
@@ -41,6 +51,17 @@ COUNT = maybe(st.integers(0, 2**40))
 SMALL = st.floats(-100, 100, allow_nan=False)
 AT = st.integers(0, 400).map(lambda n: {"wall_ns": T0 + n * 50_000_000, "mono_ns": 10**9 + n * 50_000_000})
 IFACE = st.sampled_from(["wlan0", "wlan1"])
+PEER = st.sampled_from(["a", "b"])
+PLACE = st.sampled_from(["10.0.0.1:1", "10.0.0.2:2", "[::1]:3", "nonsense", ""])
+NEIGHBOUR = st.builds(
+    Neighbour,
+    bssid=PEER,
+    frequency_mhz=st.sampled_from([2437, 5180]),
+    rssi_dbm=maybe(SMALL),
+    overlap=maybe(st.sampled_from(Overlap)),
+    associated=st.booleans(),
+    load_utilization=maybe(st.floats(0, 1)),
+)
 
 
 def records() -> st.SearchStrategy[Record]:
@@ -62,6 +83,20 @@ def records() -> st.SearchStrategy[Record]:
            error_bound_ns=st.integers(0, 10**8)),
         of(Pose, x_m=SMALL, y_m=SMALL, heading_rad=SMALL, forward_m_per_s=maybe(SMALL), turn_rad_per_s=maybe(SMALL)),
         of(VelocityCommand, forward_m_per_s=SMALL, turn_rad_per_s=SMALL),
+        of(StationLink, iface=IFACE, peer=PEER, rssi_dbm=maybe(SMALL), tx_packets=COUNT, tx_retries=COUNT,
+           inactive_ms=maybe(st.integers(0, 9999)), connected_s=maybe(st.integers(0, 99)),
+           tx_bitrate=maybe(st.builds(Bitrate, rate_bps=COUNT, mcs=maybe(st.integers(0, 15))))),
+        of(ChannelSurvey, iface=IFACE, frequency_mhz=st.sampled_from([2437, 5180, 1]), in_use=st.booleans(),
+           noise_dbm=maybe(SMALL), active_ms=COUNT, busy_ms=COUNT, rx_ms=COUNT, utilization=maybe(st.floats(0, 1))),
+        of(TcpConnection, iface=IFACE, local=PLACE, remote=PLACE, state=st.just("established"), rtt_us=COUNT,
+           process=maybe(st.just("p[1]")), retransmits=COUNT, bytes_sent=COUNT, bytes_acked=COUNT, busy_us=COUNT,
+           bytes_retransmitted=COUNT, receive_window_limited_us=COUNT),
+        of(TopicTraffic, topic=st.sampled_from(["/a", "/b"]), node=st.just("/n"), peer=PEER, local=maybe(PLACE),
+           direction=st.sampled_from(["in", "out"]), remote=maybe(PLACE), bytes_total=COUNT, messages_total=COUNT),
+        of(SelfAccount, interval_ns=st.integers(0, 10**10), cpu_ns=st.integers(0, 10**10), rss_bytes=st.just(1),
+           lateness_median_ns=COUNT, missed_slots=st.integers(0, 9), samples=st.integers(0, 9)),
+        of(ScanSnapshot, iface=IFACE, frequency_mhz=maybe(st.just(2437)), duration_ns=COUNT,
+           neighbours=st.lists(NEIGHBOUR, max_size=3).map(tuple)),
     )  # fmt: skip
 
 
@@ -76,12 +111,12 @@ def test_any_records_give_a_report_or_a_clear_error(
     try:
         run = build_run("made", "made", raws, [])
     except LinkRoverError:
-        assert not robot
-        assert not station
+        assert not [r for r in (*robot, *station) if not isinstance(r, ScanSnapshot)]  # scans alone are no samples
         return
     summaries = [summarise(run, method) for method in ("linkrover", "pandey2022")]
     for summary in summaries:
-        msgspec.json.encode(summary)
+        assert b"NaN" not in msgspec.json.encode(summary)
+        view_of(run, summary)
         document = build_document([summary, summary], [run, run], ["camera: 3 Mbit/s, commands: p99 below 9 ms"])
         assert as_markdown(document)
         assert as_latex(document)

@@ -99,7 +99,6 @@ def connection_table(summary: RunSummary, connections: Sequence[ConnectionFigure
         Column("process", spare=True),
         Column("topic"),
         Column("sent (MB)", 3, short="sent MB"),
-        Column("received (MB)", 3, short="rcvd MB", spare=True),
         Column("retransmits", 0, short="retr."),
         Column("sent again (%)", 2, short="again %"),
         Column("RTT median (ms)", 1, short="rtt ms", spare=True),
@@ -111,7 +110,7 @@ def connection_table(summary: RunSummary, connections: Sequence[ConnectionFigure
     table = Table("TCP connections on the air", columns, name=f"connections-{summary.run}")
     for c in connections[:MOST_LISTED]:
         row: list[str | float | int | None] = [f"{c.end} {c.local}", c.remote, c.process]
-        row += [carried.get((c.local, c.remote)), c.sent_mb, c.received_mb, c.retransmits, c.retransmitted_percent]
+        row += [carried.get((c.local, c.remote)), c.sent_mb, c.retransmits, c.retransmitted_percent]
         row += [c.rtt_median_ms, c.rtt_p95_ms, c.congestion_window_median]
         table.rows.append([*row, c.receiver_limited_percent, c.buffer_limited_percent])
     _left_out(table, len(connections), "connections")
