@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from linkrover.analysis import load_run, summarise
 from linkrover.report.details import detail_sections
 from linkrover.report.document import as_latex, as_markdown, build_document
 from linkrover.report.table import Column, Table, terminal, without_unknown
+from linkrover.report.tidy import tidy_csv
 from linkrover.report.views import view_of, write_html
 from tests.analysis.detailed import record_detailed
 from tests.analysis.made import record_run
@@ -119,3 +121,15 @@ def test_a_column_of_unknowns_is_left_out_and_named() -> None:
     assert [c.heading for c in small.columns] == ["a", "c"]
     assert small.notes == ["Not known for any row: b."]
     assert small.rows == [["x", 1], ["y", None]]
+
+
+def test_the_long_csv_has_the_details_too(folder: Path) -> None:
+    text = tidy_csv([summarise(load_run(folder))])
+    rows = list(csv.DictReader(io.StringIO(text)))
+    found = {(r["part"], r["end"], r["figure"]): float(r["value"]) for r in rows}
+    assert found["stations", "station", "02:00:00:00:00:02.rssi_mean"] == pytest.approx(-70.0)
+    assert found["channels", "robot", "2437 MHz.busy_percent"] == pytest.approx(33.3, abs=0.1)
+    assert found["connections", "robot", "10.0.0.2:40000 > 10.0.0.1:50000.retransmits"] == 60
+    assert found["topics", "robot", "/camera out /driver /view.rate_mbps"] == pytest.approx(8.0)
+    assert found["account", "robot", "cpu_percent"] == pytest.approx(2.0)
+    assert found["neighbourhoods", "robot", "co_channel"] == 2

@@ -138,7 +138,7 @@ def test_tidy_csv_has_a_row_a_figure_with_its_interval() -> None:
         r for r in found if r["part"] == "whole" and r["end"] == "robot" and r["figure"] == "throughput_mbps.mean"
     )
     assert float(row["low95"]) < float(row["value"]) < float(row["high95"])
-    assert {r["part"] for r in found} == {"whole", "static", "moving"}
+    assert {r["part"] for r in found} == {"whole", "static", "moving", "balance"}
 
 
 def test_damaged_and_missing_runs_are_named_and_the_rest_reported(

@@ -28,7 +28,31 @@ def tidy_csv(summaries: Sequence[RunSummary]) -> str:
         for name, part in parts.items():
             for end, iface, figure, value, low, high in _part(part):
                 writer.writerow(["" if v is None else v for v in (*head, name, end, iface, figure, value, low, high)])
+        for name, end, iface, which, figures in _details(summary):
+            for figure, value, *_ in _numbers(which, figures):
+                writer.writerow(["" if v is None else v for v in (*head, name, end, iface, figure, value, "", "")])
     return out.getvalue()
+
+
+def _details(summary: RunSummary) -> Iterator[tuple[str, str, str, str, msgspec.Struct]]:
+    """(part, end, interface, which one, its figures) of what only some recordings hold."""
+    for station in summary.stations:
+        yield "stations", station.end, station.iface, station.peer, station
+    for channel in summary.channels:
+        yield "channels", channel.end, channel.iface, f"{channel.frequency_mhz} MHz", channel
+    for hood in summary.neighbourhoods:
+        yield "neighbourhoods", hood.end, hood.iface, "", hood
+        for near in hood.neighbours:
+            yield "neighbours", hood.end, hood.iface, near.bssid, near
+    for connection in summary.connections:
+        which = f"{connection.local} > {connection.remote}"
+        yield "connections", connection.end, connection.iface, which, connection
+    for topic in summary.topics:
+        yield "topics", topic.end, "", f"{topic.topic} {topic.direction} {topic.node} {topic.peer}", topic
+    for end, balance in summary.balance.items():
+        yield "balance", end, balance.iface, "", balance
+    for end, account in summary.account.items():
+        yield "account", end, "", "", account
 
 
 def _part(part: PartFigures) -> Iterator[_Row]:
@@ -60,4 +84,4 @@ def _numbers(group: str, figures: msgspec.Struct | None) -> Iterator[tuple[str, 
             yield from _numbers(f"{group}.{name}", value)
         elif isinstance(value, (int, float)) and not isinstance(value, bool):
             low, high = values.get(f"{name}_ci95") or (None, None)
-            yield f"{group}.{name}", float(value), low, high
+            yield f"{group}.{name}" if group else name, float(value), low, high
