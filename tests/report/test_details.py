@@ -18,6 +18,7 @@ from linkrover.report.views import view_of, write_html
 from tests.analysis.detailed import record_detailed
 from tests.analysis.made import record_run
 from tests.browser import Browser, chromium
+from tests.datasets import dataset
 
 ARTIFACTS = Path(__file__).parents[2] / "artifacts"
 
@@ -133,3 +134,10 @@ def test_the_long_csv_has_the_details_too(folder: Path) -> None:
     assert found["topics", "robot", "/camera out /driver /view.rate_mbps"] == pytest.approx(8.0)
     assert found["account", "robot", "cpu_percent"] == pytest.approx(2.0)
     assert found["neighbourhoods", "robot", "co_channel"] == 2
+
+
+def test_the_published_drives_show_where_received_data_exceed_sent_data() -> None:
+    run = load_run(dataset("router_2G_trial2.csv"))
+    words = [sentence for section in detail_sections(summarise(run)) for sentence in section.words]
+    assert any(w.startswith("At the station, received data exceed sent data (iface1: 12.24 Mbit/s") for w in words)
+    assert any("the roscore only tells them of each other" in w for w in words)

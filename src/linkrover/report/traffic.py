@@ -24,7 +24,7 @@ def traffic_section(summary: RunSummary) -> Section:
     topics = [t for t in summary.topics if t.on_host is not True and t.rate_mbps]
     connections = shown_connections(summary.connections)
     section.words += topic_words(topics) + connection_words(connections)
-    if topics or connections or any(b.runs_roscore for b in summary.balance.values()):
+    if topics or connections or _speaks_ros1(summary):
         section.words += balance_words(summary, topics)
     if topics:
         section.tables.append(topic_table(summary, topics))
@@ -169,7 +169,7 @@ def connection_words(connections: Sequence[ConnectionFigures]) -> list[str]:
 def balance_words(summary: RunSummary, topics: Sequence[TopicFigures]) -> list[str]:
     """Where received data exceed sent data, and why."""
     words = []
-    ros = bool(topics) or any(b.runs_roscore is not None for b in summary.balance.values())
+    ros = bool(topics) or _speaks_ros1(summary)
     roscore = next((role for role, b in summary.balance.items() if b.runs_roscore), None)
     for role, b in summary.balance.items():
         exceeds = b.received_to_sent is not None and b.received_to_sent > MORE_RECEIVED
@@ -187,9 +187,15 @@ def balance_words(summary: RunSummary, topics: Sequence[TopicFigures]) -> list[s
         words.append(
             f"The robot sent {robot.sent_mbps:.2f} Mbit/s, the station received {station.received_mbps:.2f}; the "
             f"station sent {station.sent_mbps:.2f}, the robot received {robot.received_mbps:.2f}. Less received than "
-            "sent was lost or dropped on the way; more came from other senders."
+            "sent was lost or dropped on the way; more came from other senders, or the two ends' readings cover "
+            "different stretches of time."
         )
     return words
+
+
+def _speaks_ros1(summary: RunSummary) -> bool:
+    named = any((setup.middleware or "").startswith("ros1") for setup in summary.setup.values())
+    return named or any(b.runs_roscore is not None for b in summary.balance.values())
 
 
 _PLAIN_CAUSE = "The side that takes in the bulk of the data sends back little but acknowledgements."
