@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import os
+import socket
+import struct
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -14,6 +18,8 @@ import pytest
 
 T = TypeVar("T")
 _CLONE_NEWNET = 0x40000000
+_SIOCGIFFLAGS = 0x8913
+_IFF_RUNNING = 0x40  # operational state "up", not only an administrator's wish
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
@@ -69,6 +75,21 @@ class Namespace:
         """One `ip` command in the namespace."""
         subprocess.run(["nsenter", f"--net={self.path}", "ip", *command.split()], check=True, capture_output=True)
 
+    def wait_until_up(self, device: str, timeout_s: float = 20.0) -> None:
+        """Until the device carries packets: on a busy machine a moment after both of its ends were set up."""
+        until = time.monotonic() + timeout_s
+        request = struct.pack("16sH14x", device.encode(), 0)
+
+        def running() -> bool:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+                flags = struct.unpack("16sH14x", fcntl.ioctl(any_socket, _SIOCGIFFLAGS, request))[1]
+            return bool(flags & _IFF_RUNNING)
+
+        while not self.run(running):
+            if time.monotonic() > until:
+                raise AssertionError(f"{device} carries no packets after {timeout_s} s")
+            time.sleep(0.01)
+
     def start(self, arguments: list[str], **options: object) -> subprocess.Popen[str]:
         """Start `python ARGUMENTS` in the namespace."""
         command = ["nsenter", f"--net={self.path}", sys.executable, *arguments]
@@ -86,4 +107,6 @@ def joined() -> tuple[Namespace, Namespace]:
     for end, address in ((one, "10.9.0.1/24"), (two, "10.9.0.2/24")):
         end.ip(f"address add {address} dev v0")
         end.ip("link set v0 up")
+    for end in (one, two):
+        end.wait_until_up("v0")
     return one, two
