@@ -3,7 +3,7 @@ from __future__ import annotations
 import contextlib
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from linkrover.errors import ParseError
@@ -119,6 +119,7 @@ def test_any_other_file_is_a_clear_error(data: bytes, word: str) -> None:
 
 
 @settings(max_examples=60, deadline=None)
+@example(b'"')
 @given(st.binary(max_size=400))
 def test_any_bytes_give_a_sheet_or_a_parse_error(data: bytes) -> None:
     for prefix in (b"", HEADER.encode() + b"\n"):

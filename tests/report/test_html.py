@@ -119,3 +119,13 @@ def test_an_estimated_map_stands_beside_its_error_with_antenna_dead_zones_and_wa
     assert [h["z"] for h in heat] == [surface.mean, surface.standard_error]
     assert len(figure["layout"]["shapes"]) == 2
     assert sum(trace["type"] == "scatter" for trace in figure["data"]) == 4
+
+
+def test_a_problem_of_many_runs_is_said_once(tmp_path):
+    from dataclasses import replace
+
+    missing = "robot: no wireless link was recorded"
+    views = [replace(run_view(f"case {c}", str(c), 1), problems=(missing,)) for c in (1, 2, 3)]
+    write_page(views, tmp_path / "report.html")
+    assert (tmp_path / "report.html").read_text().count(missing) == 1
+    assert "(3 of 3 runs: case 1, case 2, ...)" in (tmp_path / "report.html").read_text()

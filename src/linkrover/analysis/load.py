@@ -123,6 +123,8 @@ def build_run(name: str, path: str, raws: dict[str, RawEnd], problems: list[str]
             problems.append(f"{role}: no recording of this end; its figures are missing")
     span = _span(local, origin, problems)
     _say_what_is_missing(ends, problems)
+    if published:
+        _say_what_is_double(ends, problems)
     notes: dict[str, str] = {}
     for manifest in reversed(manifests):
         notes.update(manifest.notes)
@@ -207,6 +209,8 @@ class _Clock:
         return out
 
 
+SHORT_OF_USUAL = 0.4  # of the median interval between messages
+DOUBLE_AT_LEAST = 5
 _EARLY = frozenset({"NetworkDelay", "ProbeResult"})  # stamped at their sending, recorded later
 
 
@@ -294,6 +298,23 @@ def _say_what_is_missing(ends: dict[str, End], problems: list[str]) -> None:
             problems.append(f"{role}: no link utilisation was recorded")
         if not end.wireless:
             problems.append(f"{role}: no wireless link was recorded")
+
+
+def _say_what_is_double(ends: dict[str, End], problems: list[str]) -> None:
+    """A node started twice publishes every second's traffic twice: short and long intervals in turn."""
+    import numpy as np
+
+    for role, end in ends.items():
+        for iface, table in end.utilization.items():
+            taken = table["has_base"] & (table["bits"] > 0)
+            length = (table["t_s"] - table["begin_s"])[taken]
+            short = length < SHORT_OF_USUAL * np.median(length) if len(length) else length
+            if short.sum() >= DOUBLE_AT_LEAST:
+                share = table["bits"][taken][short].sum() / max(float(table["bits"][taken].sum()), 1.0)
+                problems.append(
+                    f"{role}/{iface}: {int(short.sum())} messages came from a second publisher; throughput of this "
+                    f"interface is up to {100 * share:.0f} % too high"
+                )
 
 
 def _end(role: str, raw: RawEnd, clock: _Clock, origin: int) -> End:

@@ -105,10 +105,10 @@ def report(
         drawn: list[Path] = []
         if figures is not None and loaded:
             from linkrover.report.figures import write_figures
-            from linkrover.report.views import view_of
+            from linkrover.report.views import views_of
 
             say("drawing the figures")
-            views = [view_of(run, summary) for run, summary in zip(loaded, summaries, strict=True)]
+            views = views_of(loaded, summaries)
             drawn = list(write_figures(views, figures, figure_format))
         if format == "html" and loaded:
             from linkrover.report.views import write_html

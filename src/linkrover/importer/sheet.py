@@ -99,6 +99,8 @@ def _cells(data: bytes, separator: str, names: list[str], file: str) -> pl.DataF
     data = data.replace(b" ", b"")
     if separator == ";":
         data = data.replace(b",", b".")
+    if data.count(b'"') % 2:  # polars panics on some of these
+        raise ParseError(file, "line 2 or later", "every quotation mark closed", "one that stays open")
     labels = [name or f"#{i}" for i, name in enumerate(names)]
     head = separator.join(f'"{label}"' for label in labels).encode()
     try:
@@ -111,7 +113,7 @@ def _cells(data: bytes, separator: str, names: list[str], file: str) -> pl.DataF
             truncate_ragged_lines=True,
             encoding="utf8-lossy",
         )
-    except pl.exceptions.PolarsError as error:
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
         raise ParseError(file, "line 2", "rows of numbers", str(error).splitlines()[0]) from error
 
 

@@ -58,7 +58,7 @@ def write_page(
         page.cards(_cards(views[0]))
     else:
         page.words([f"{len(views)} runs over {len({v.case for v in views})} cases."], lead=True)
-    page.warning([f"{view.name}: {problem}" for view in views for problem in view.problems])
+    page.warning(_problems(views))
     if len(views) > 1:
         page.table(_overview(views))
     if comparison or tables:
@@ -75,6 +75,20 @@ def write_page(
     page.bullets(METHOD)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(page.html(f"LinkRover {__version__}. One file, nothing is fetched."), encoding="utf-8")
+
+
+def _problems(views: Sequence[RunView]) -> list[str]:
+    """What is damaged or missing; the same in many runs is said once."""
+    where: dict[str, list[str]] = {}
+    for view in views:
+        for problem in view.problems:
+            where.setdefault(problem, []).append(view.name)
+    return [
+        f"{', '.join(names)}: {problem}"
+        if len(names) <= 2
+        else f"{problem} ({len(names)} of {len(views)} runs: {names[0]}, {names[1]}, ...)"
+        for problem, names in where.items()
+    ]
 
 
 def _run(page: Page, view: RunView, index: int, most: int, surface: interactive.Figure | None, *, alone: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path as FilePath
 
 import msgspec
@@ -67,6 +68,19 @@ def view_of(run: Run, summary: RunSummary) -> RunView:
     )
 
 
+def views_of(runs: Sequence[Run], summaries: Sequence[RunSummary]) -> list[RunView]:
+    """The views of several runs, in their order, under names that tell them apart ("trial-1" of ten cases)."""
+    views = [view_of(run, summary) for run, summary in zip(runs, summaries, strict=True)]
+    if len({view.name for view in views}) < len(views):
+        views = [replace(view, name=f"{view.case}/{view.name}" if view.case else view.name) for view in views]
+    seen: dict[str, int] = {}
+    for i, view in enumerate(views):
+        seen[view.name] = seen.get(view.name, 0) + 1
+        if seen[view.name] > 1:
+            views[i] = replace(view, name=f"{view.name} ({seen[view.name]})")
+    return views
+
+
 def write_html(
     runs: Sequence[Run],
     summaries: Sequence[RunSummary],
@@ -79,7 +93,12 @@ def write_html(
     from .document import comparison_sections
     from .html import write_page
 
-    views = [view_of(run, summary) for run, summary in zip(runs, summaries, strict=True)]
+    views = views_of(runs, summaries)
+    maps = {
+        view.name: drawn
+        for view, run in zip(views, runs, strict=True)
+        if (drawn := _maps(run, len(runs), walls)) is not None
+    }
     views.sort(key=lambda view: (*case_key(view.case), view.trial or 0, view.name))
     sections = comparison_sections(summaries, runs, needs)
     floors = {kind: side_by_side(views, kind, walls) for kind in TITLES} if len(views) > 1 else {}
@@ -88,7 +107,7 @@ def write_html(
         out,
         comparison=[sentence for section in sections for sentence in section.words],
         tables=[page_table(table) for section in sections for table in section.tables],
-        maps={run.name: drawn for run in runs if (drawn := _maps(run, len(runs), walls)) is not None},
+        maps=maps,
         floors={TITLES[kind]: figure for kind, figure in floors.items() if figure is not None},
     )
 
