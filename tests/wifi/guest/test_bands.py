@@ -22,9 +22,11 @@ def test_both_ends_show_the_link(
         assert before.ssid is None
         air.station(station, "Füchse 🤖", [channel], passphrase=passphrase)
         datagrams("station", "10.1.0.1", 5)
-        client = eyes["station"].quick().links[0]
         wait_for("the peer", lambda: eyes["robot"].quick().links[0].peer == station.mac)
-        host = eyes["robot"].quick()
+        # the channel is read once a second or after refresh(); the last test's may still be remembered
+        for eye in (eyes["station"], eyes["robot"]):
+            wait_for("the channel", lambda eye=eye: eye.quick().links[0].frequency_mhz == FREQUENCIES[channel])
+        client, host = eyes["station"].quick().links[0], eyes["robot"].quick()
         for link in (client, host.links[0]):
             assert link.connected
             assert link.ssid == "Füchse 🤖"
