@@ -22,3 +22,18 @@ def test_a_second_publisher_of_the_2021_package_is_a_problem_with_its_share():
     assert problem.startswith("station/iface2: 22 messages came from a second publisher")
     (other,), _ = load_all([dataset("router_2G_trial2.csv")])
     assert other.problems == ()
+
+
+def test_a_dead_zone_without_any_probe_says_nothing_of_outage(monkeypatch):
+    from linkrover.analysis.space import DeadZone
+    from linkrover.report import place_words
+
+    (run,), _ = load_all([dataset("router_2G_trial2.csv")])
+    zones = [
+        DeadZone(x_m=1.0, y_m=2.0, area_m2=3.0, seconds=4.0, worst_rssi_dbm=-85.0),
+        DeadZone(x_m=1.0, y_m=2.0, area_m2=3.0, seconds=4.0, outage_percent=60.0),
+    ]
+    monkeypatch.setattr(place_words, "dead_zones", lambda _: zones)
+    silent, out = place_words.place_words(run)[:2]
+    assert "4 s, RSSI down to -85 dBm)" in silent
+    assert "4 s, out 60 % of that time)" in out

@@ -201,7 +201,8 @@ def statistic(name: str, values: Floats, weights: Floats) -> float:
         return float((values * weights).sum() / weights.sum())
     if (weights == weights[0]).all():
         return float(np.quantile(values, QUANTILES[name]))
-    return float(weighted_quantiles(values, weights, (QUANTILES[name],))[0] or 0.0)
+    (found,) = weighted_quantiles(values, weights, (QUANTILES[name],))
+    return float("nan") if found is None else found
 
 
 def replicates(series: Series, seed: int) -> Floats:

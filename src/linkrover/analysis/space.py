@@ -273,6 +273,8 @@ def dead_zones(run: Run, cell_m: float = 1.0, rssi_dbm: float = DEAD_RSSI_DBM) -
         cells = [bad[key] for key in patch]
         seconds = sum(c.seconds for c in cells)
         readings = [c.rssi_dbm for c in cells if c.rssi_dbm is not None]
+        probed = [(c.outage, c.seconds) for c in cells if c.outage is not None]
+        probed_s = sum(s for _, s in probed)
         zones.append(
             DeadZone(
                 x_m=sum(c.x_m * c.seconds for c in cells) / seconds,
@@ -280,7 +282,7 @@ def dead_zones(run: Run, cell_m: float = 1.0, rssi_dbm: float = DEAD_RSSI_DBM) -
                 area_m2=len(cells) * cell_m**2,
                 seconds=seconds,
                 worst_rssi_dbm=min(readings) if readings else None,
-                outage_percent=sum((c.outage or 0.0) * c.seconds for c in cells) / seconds,
+                outage_percent=sum(o * s for o, s in probed) / probed_s if probed_s > 0 else None,
             )
         )
     return sorted(zones, key=lambda z: -z.seconds)

@@ -15,9 +15,10 @@ def place_words(run: Run) -> list[str]:
         zones = dead_zones(run)
         for zone in zones[:MOST_ZONES]:
             signal = f", RSSI down to {zone.worst_rssi_dbm:.0f} dBm" if zone.worst_rssi_dbm is not None else ""
+            out = f", out {zone.outage_percent:.0f} % of that time" if zone.outage_percent is not None else ""
             words.append(
                 f"Dead zone around x = {zone.x_m:.1f} m, y = {zone.y_m:.1f} m ({zone.area_m2:.0f} m² driven, "
-                f"{zone.seconds:.0f} s, out {zone.outage_percent or 0.0:.0f} % of that time{signal})."
+                f"{zone.seconds:.0f} s{out}{signal})."
             )
         if len(zones) > MOST_ZONES:
             words.append(f"{len(zones) - MOST_ZONES} smaller dead zones are not listed.")
